@@ -1,6 +1,27 @@
 """adaptmg: multigrid for frictional contact on adaptively refined, non-nested meshes.
 
-``import adaptmg as am``; names are loaded when first used, so that importing stays fast.
+``import adaptmg as am``; names are loaded when first used, so that importing stays fast. SI units throughout.
+
+Problem     ContactProblem; Contact or ContactPair (obstacles Plane, GapFunction); Support, Symmetry, Spring,
+            PointSupport, PointSpring; Pressure, Traction, BodyForce, InitialStrain; Frictionless, Coulomb, Tresca;
+            LoadPath
+Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
+Domain      Rectangle, Circle, Polygon, Outline; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut, Fuse,
+            Common, Moved; Assembly of several bodies; ready problems in cases, problem data in problem
+Grids       Hierarchy (a Level for each grid): uniform, graded, from_meshes, ...; transfers Interpolation, PseudoL2, L2,
+            LumpedL2, QuasiInterpolation; mesh, MeshArrays, SizeNear
+Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG
+Ingredients Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel; corrections Truncated, Monotone, PaperCorrection;
+            modules multigrid, smoother, transfer, solver
+Result      Result, Status, NotConverged, Certificate, PathResult; contact states OPEN, SLIP, STICK
+Adapt       adapt (each Step); indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
+            MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate, GoalEstimate;
+            module estimate
+Matrices    discretise, DiscreteProblem, ContactNodes; discrete
+Show        plot, export
+Sweep       Study; designs and tables in study
+
+``help(am.solve)`` shows one name with an example, ``dir(am.plot)`` lists the names of a module.
 """
 
 from __future__ import annotations
@@ -19,11 +40,11 @@ _SUBMODULES = ("cases", "discrete", "estimate", "export", "mesh", "multigrid", "
                "solver", "study", "transfer")
 
 _WHERE = {
-    "adaptmg.problem": ("Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Common", "Contact", "ContactPair",
-                        "ContactProblem", "Coulomb", "Cut", "Cylinder", "Extrusion", "Frictionless", "Fuse",
-                        "GapFunction", "InitialStrain", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",
-                        "PlaneStress", "Polygon", "Pressure", "Rectangle", "Revolution", "Solid", "StepFile", "Support",
-                        "Traction", "Tresca"),
+    "adaptmg.problem": ("Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact",
+                        "ContactPair", "ContactProblem", "Coulomb", "Cut", "Cylinder", "Extrusion", "Frictionless",
+                        "Fuse", "GapFunction", "InitialStrain", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",
+                        "PlaneStress", "PointSpring", "PointSupport", "Polygon", "Pressure", "Rectangle", "Revolution",
+                        "Solid", "Spring", "StepFile", "Support", "Symmetry", "Traction", "Tresca"),
     "adaptmg.discrete.problem": ("ContactNodes", "DiscreteProblem"),
     "adaptmg.mesh": ("MeshArrays", "SizeNear"),
     "adaptmg.discrete.discretise": ("discretise",),
@@ -56,7 +77,8 @@ _WHERE = {
 }
 _HOME = {name: module for module, names in _WHERE.items() for name in names}
 
-__all__ = sorted([*_HOME, *_SUBMODULES, "__version__"])
+#: not __all__, with which help(adaptmg) would show each class at length
+_NAMES = sorted([*_HOME, *_SUBMODULES, "__version__"])
 
 
 def __getattr__(name: str) -> Any:
@@ -70,4 +92,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return _NAMES

@@ -44,6 +44,7 @@ from adaptmg.problem import Axisymmetric as Axisymmetric
 from adaptmg.problem import Ball as Ball
 from adaptmg.problem import BodyForce as BodyForce
 from adaptmg.problem import Box as Box
+from adaptmg.problem import Circle as Circle
 from adaptmg.problem import Common as Common
 from adaptmg.problem import Contact as Contact
 from adaptmg.problem import ContactPair as ContactPair
@@ -62,13 +63,17 @@ from adaptmg.problem import Outline as Outline
 from adaptmg.problem import Plane as Plane
 from adaptmg.problem import PlaneStrain as PlaneStrain
 from adaptmg.problem import PlaneStress as PlaneStress
+from adaptmg.problem import PointSpring as PointSpring
+from adaptmg.problem import PointSupport as PointSupport
 from adaptmg.problem import Polygon as Polygon
 from adaptmg.problem import Pressure as Pressure
 from adaptmg.problem import Rectangle as Rectangle
 from adaptmg.problem import Revolution as Revolution
 from adaptmg.problem import Solid as Solid
+from adaptmg.problem import Spring as Spring
 from adaptmg.problem import StepFile as StepFile
 from adaptmg.problem import Support as Support
+from adaptmg.problem import Symmetry as Symmetry
 from adaptmg.problem import Traction as Traction
 from adaptmg.problem import Tresca as Tresca
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel as ProjectedGaussSeidel

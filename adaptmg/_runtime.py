@@ -12,6 +12,7 @@ factorisations lose more to starting threads than they gain.
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
 import stat
 import sys
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from threadpoolctl import LibController, ThreadpoolController
 
 __all__ = ["OnDemand", "inner_kernel", "kernel", "made_on_demand", "one_blas_thread", "read_only", "remembered",
-           "seeded"]
+           "say", "seeded"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -75,12 +76,16 @@ class _Cache(FunctionCache):
     """numba's cache of a kernel, whose failures are logged and cost a compilation."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = None
         try:
-            return super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)
         except Exception as error:
             self._warn("read", error)
             with suppress(OSError):  # a new index takes what is compiled now
                 os.unlink(self._cache_file._index_path)
+        if found is None:
+            _announce_compiling()
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
@@ -91,6 +96,23 @@ class _Cache(FunctionCache):
     def _warn(self, done: str, error: Exception) -> None:
         _LOG.warning("the cache of the kernel %s in %s cannot be %s (%s: %s): the kernel is compiled again",
                      self._py_func.__qualname__, self.cache_path, done, type(error).__name__, error)
+
+
+@lru_cache(maxsize=1)
+def _announce_compiling() -> None:
+    """Report, once a process and before it takes seconds, that kernels are compiled."""
+    text = "compiling kernels (first use on this machine, about 20 s; kept for later runs)"
+    if sys.stderr is not None and sys.stderr.isatty() and multiprocessing.parent_process() is None:
+        say(f"adaptmg: {text}")
+    else:
+        _LOG.info(text)
+
+
+def say(text: str) -> None:
+    """Write a line to standard error, if there is one."""
+    if sys.stderr is not None:
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
 
 
 def _cache_of(function: Callable) -> FunctionCache | NullCache:

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import html
 import re
+from dataclasses import MISSING, fields
+from inspect import isfunction
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["in_html", "printable"]
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["MOST", "brief", "html_table", "in_html", "in_html_lines", "printable", "shortened"]
+
+#: characters of a repr
+MOST = 400
 
 #: what XML 1.0 or HTML do not allow in a text, or UTF-8 cannot encode
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff"
@@ -24,3 +33,54 @@ def printable(text: str) -> str:
 def in_html(text: str) -> str:
     """A text as HTML takes it: markup escaped, what it does not allow as codes."""
     return html.escape(printable(text))
+
+
+def in_html_lines(text: str) -> str:
+    """A text in HTML, with its lines and columns."""
+    return f"<pre>{in_html(text)}</pre>\n"
+
+
+def html_table(table: pandas.DataFrame) -> str:
+    """A table in HTML for notebooks; the middle rows of a long one are left out."""
+    return table.to_html(index=False, max_rows=20, border=0, float_format="{:.4g}".format)
+
+
+def shortened(text: str) -> str:
+    """A text of at most 400 characters: lines in the middle are left out, then the end."""
+    lines = text.split("\n")
+    for kept in range(len(lines) - 2, 0, -1) if len(text) > MOST else ():
+        text = "\n".join([*lines[:kept], f"... ({len(lines) - kept - 1} more lines)", lines[-1]])
+        if len(text) <= MOST:
+            break
+    return text if len(text) <= MOST else f"{text[:MOST - 3]}..."
+
+
+def brief(self: Any) -> str:
+    """The ``__repr__`` of a dataclass: as Python writes it where it is short; values on demand are not made.
+
+    Arrays are shown by their shapes. Where it is long, defaults, then what long values hold, are left out.
+    """
+    held = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
+    defaults = [one.default_factory() if one.default_factory is not MISSING else one.default for one, _ in held]
+    changed = [pair for pair, default in zip(held, defaults, strict=True) if repr(pair[1]) != repr(default)]
+    for shown, most in ((held, MOST), (changed, MOST), (changed, 100), (changed, 30)):
+        inside = ", ".join(f"{item.name}={_value(value, most)}" for item, value in shown)
+        if len(inside) < MOST - 40:
+            break
+    return shortened(f"{type(self).__name__}({inside})")
+
+
+def _value(value: Any, most: int) -> str:
+    """A value in a repr: in at most ``most`` characters, or by its kind and size."""
+    name, shape = type(value).__name__, getattr(value, "shape", ())
+    if isinstance(shape, tuple) and shape:
+        if len(shape) > 1 or shape[0] > 12:
+            return f"<array {' x '.join(map(str, shape))}>"
+        value = value.tolist()
+    if isinstance(value, dict | tuple | list) and len(value) > 50:
+        return f"<{name} of {len(value)}>"
+    if isinstance(value, dict):
+        result = f"{{{', '.join(f'{key!r}: {_value(part, most)}' for key, part in value.items())}}}"
+    else:
+        result = f"<{value.__qualname__}>" if isfunction(value) else repr(value)
+    return result if len(result) <= most else f"{name}(...)"

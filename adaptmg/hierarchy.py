@@ -15,8 +15,18 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import one_blas_thread
+from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.level import Level, check_coarse_to_fine, joined, level_of, need_domain, the_transfer
+from adaptmg.level import (
+    Level,
+    check_coarse_to_fine,
+    joined,
+    level_of,
+    need_domain,
+    reposed,
+    the_transfer,
+    touches_alike,
+)
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.netgen_guard import MAX_NODES
 from adaptmg.problem import ContactPair, ContactProblem
@@ -36,7 +46,7 @@ class Hierarchy:
 
     Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`,
     :meth:`from_prolongations`, :meth:`algebraic`, :meth:`single`; :meth:`append` and :meth:`without` make more and
-    fewer levels of one.
+    fewer levels of one, :meth:`with_problem` poses another problem on its meshes.
 
     Attributes
     ----------
@@ -52,6 +62,12 @@ class Hierarchy:
         What built the prolongations between meshes; None for interpolation, or where there are no meshes.
     contact_rows : bool
         Whether the rows of contact nodes were replaced, see :meth:`from_meshes`.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> len(grids), grids.finest.discrete.n_nodes
+    (2, 25)
     """
 
     levels: tuple[Level, ...]
@@ -326,6 +342,52 @@ class Hierarchy:
         return replace(self, levels=(*self.levels, new), timings=self._with(spent), origin=origin)
 
     @one_blas_thread()
+    def with_problem(self, problem: ContactProblem) -> Self:
+        """The same meshes with another law, friction, load, material or support.
+
+        It is, bit for bit, what :meth:`from_meshes` makes of the same meshes. Of another law, or other loads, matrices
+        and prolongations are shared with this hierarchy; for other material, supports or obstacles matrices are
+        assembled again.
+
+        Parameters
+        ----------
+        problem : ContactProblem
+            On the same domain, with contact on the same boundaries.
+
+        Raises
+        ------
+        ValueError
+            If domain or contact boundaries are others, or the levels are not made of meshes.
+
+        Examples
+        --------
+        >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
+        >>> for friction in (0.2, 0.4):
+        ...     result = am.solve(grids.with_problem(am.cases.greco_bar(law=am.Coulomb(friction))), am.Multigrid())
+        """
+        from adaptmg.discrete.discretise import same
+
+        begin = time.perf_counter()
+        self._need_meshes("with_problem")
+        checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+        if problem.domain is not None and self.problem.domain is not None and not same(problem.domain,
+                                                                                       self.problem.domain):
+            raise ValueError(f"problem has another domain, {checks.shown(problem.domain)}, than these meshes, "
+                             f"{checks.shown(self.problem.domain)}: mesh it with Hierarchy.graded or uniform")
+        own, asked = ((*one.contact_boundaries, *one.masters) for one in (self.problem, problem))
+        if own != asked:
+            raise ValueError(f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
+                             f"contact on {', '.join(filter(None, own))}: use Hierarchy.graded or from_meshes")
+        levels = [reposed(level, problem, self.problem) for level in self.levels]
+        assembled = time.perf_counter()
+        kept = [touches_alike(a.discrete, b.discrete) for a, b in zip(self.levels, levels, strict=True)]
+        for k in range(1, len(levels)):
+            if not (kept[k - 1] and kept[k]):
+                levels[k] = joined(levels[k - 1], levels[k], the_transfer(self.transfer), self.contact_rows)
+        spent = {"mesh": 0.0, "assembly": assembled - begin, "transfer": time.perf_counter() - assembled}
+        return replace(self, levels=tuple(levels), problem=problem, timings=spent)
+
+    @one_blas_thread()
     def without(self, level: int) -> Self:
         """Without one of the levels but the finest; only the prolongation between its two neighbours is built.
 
@@ -370,6 +432,14 @@ class Hierarchy:
                 for k, level in enumerate(self.levels)]
 
     def __repr__(self) -> str:
+        return shortened(str(self))
+
+    def _repr_html_(self) -> str:
+        import pandas
+
+        return in_html_lines(str(self).partition("\n")[0]) + html_table(pandas.DataFrame(self.table()))
+
+    def __str__(self) -> str:
         name = self.problem.name if self.problem is not None else self.finest.discrete.name
         lines = [f"Hierarchy of {len(self)} levels ({self.origin}) for {name}",
                  f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11} {'h ratio':>8}"]

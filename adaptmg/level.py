@@ -16,6 +16,7 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
@@ -23,7 +24,8 @@ from adaptmg.problem import ContactProblem
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
-__all__ = ["Level", "check_coarse_to_fine", "joined", "level_of", "need_domain", "the_transfer"]
+__all__ = ["Level", "check_coarse_to_fine", "joined", "level_of", "need_domain", "reposed", "the_transfer",
+           "touches_alike"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,12 @@ class Level:
     surface_prolongation : csr_array or None
         With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for corrections that need
         it (:mod:`adaptmg.transfer.contact_rows`).
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> grids.finest.prolongation.shape                               # to its nodes from those of the level below
+    (25, 9)
     """
 
     discrete: DiscreteProblem | None
@@ -74,6 +82,8 @@ class Level:
                 as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
                 value = value if as_csr else sparse.csr_array(value, dtype=np.float64)
                 object.__setattr__(self, name, indices_frozen(value))
+
+    __repr__ = brief
 
     def posing(self, discrete: DiscreteProblem) -> Level:
         """The level with the data of a load step; nothing else is read or made."""
@@ -126,6 +136,25 @@ def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
     from adaptmg.discrete.discretise import discretise
 
     return Level(discretise(problem, mesh), mesh)
+
+
+def reposed(level: Level, problem: ContactProblem, before: ContactProblem) -> Level:
+    """The level with another problem; its prolongation is that from a level with the contact that there was."""
+    from adaptmg.discrete.discretise import rediscretise
+
+    return level.posing(rediscretise(problem, before, level.mesh, level.discrete))
+
+
+def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
+    """Whether the same nodes carry contact and follow the same others: what prolongations depend on."""
+    if a.contact is b.contact and a.coupling is b.coupling:
+        return True
+    arrays = [(p.contact.nodes, p.contact.boundary) for p in (a, b)]
+    if a.coupling is not None and b.coupling is not None:
+        arrays = [(*own, *(getattr(p.coupling.weights, part) for part in ("indptr", "indices", "data")), p.fixed)
+                  for p, own in zip((a, b), arrays, strict=True)]
+    return (a.contact.names, a.contact.masters, a.coupling is None) == (
+        b.contact.names, b.contact.masters, b.coupling is None) and all(map(np.array_equal, *arrays))
 
 
 def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -> Level:

@@ -1,103 +1,151 @@
-"""Adaptive against uniform meshes: what an accuracy costs, and from which error on adaptivity pays.
-
-Seven problems (one body and pairs, plane, axisymmetric and 3D; a quick run: four, plane), on uniform meshes, on meshes
-graded by hand towards contact, and on those of the adaptive loop :func:`adaptmg.adapt` with its default settings, by
-two engines and three indicators. Every mesh is solved by the default method (truncated multigrid); uniform and graded
-ones each on their own hierarchy from a nested start, to a tenth of the discretisation error, as every step of the loop
-is.
-
-Seconds are processor time of one thread with warm kernels, for everything: meshes, matrices, transfers, all solves and
-all estimates; of an adaptive mesh those of all steps before it too. Errors are against a reference on a bisected mesh
-with some ten times the nodes of the finest adaptive one.
+"""From which accuracy on do adaptive meshes pay, everything counted?
 
     python studies/adaptive_vs_uniform.py [--quick | --full] [--out DIR]
+
+Uniform meshes and those of the adaptive loop am.adapt (residual indicator; remeshed by sizes, the default, or
+bisected), each solved by the default method to a tenth of the discretisation error, uniform ones from a nested start on
+a hierarchy of their own. Seconds are processor time of one thread with warm kernels for everything: meshes, matrices,
+transfers, solves, estimates; of an adaptive mesh those of all steps before it too. Energy errors are against a solution
+on a bisected mesh with several times the nodes of the finest adaptive one. Between meshes costs are interpolated along
+the logarithm of the error. Singular corners and edges slow uniform meshes down, so that the gain in nodes grows as the
+error falls; without them adaptive meshes save a constant factor of nodes at most.
 """
 
-from __future__ import annotations
-
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import time
+from functools import lru_cache
+from itertools import islice
 
-import adaptive_runs as runs
-import common
+import numpy as np
 import pandas as pd
-from adaptive_cases import CASES, EXPONENTS
-from adaptive_figures import figures
-from adaptive_pays import summary
-from adaptive_tables import tables
+from common import Output, main, warm_up
+from matplotlib import pyplot as plt
+
+import adaptmg as am
+from adaptmg.estimate import Reference, energy_error
+from adaptmg.mesh import bisect, graded, structured
+
+#: problem, size of the first adaptive mesh (m, None: the default), first uniform mesh (cells along a side, or size, m)
+CASES = {
+    "GRECO bar": (am.cases.greco_bar, 10e-3, 4),
+    "upset block": (am.cases.upset_block, 10e-3, 4),
+    "flat punch": (am.cases.flat_punch, None, 40e-3),
+    "dovetail": (am.cases.dovetail, 6e-3, 6e-3),
+    "bolted junction": (am.cases.bolted_junction, 16e-3, 12e-3),
+    "GRECO block 3D": (am.cases.greco_block, 20e-3, 2),
+}
+ENGINES = {"remeshed": am.Remesh(), "bisected": am.Bisect()}
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """Nodes of the finest meshes, at most.
-
-    Attributes
-    ----------
-    loop : int
-        Of the default loop, remeshed and bisected.
-    uniform : int
-        So many that the time to the errors of loops is measured; a quarter where the solution is regular.
-    other : int
-        Graded by hand, and led by recovery or a goal; 0: left out.
-    reference : int
-    """
-
-    loop: int
-    uniform: int
-    other: int
-    reference: int
+def uniform_meshes(problem: am.ContactProblem, coarse: float, refinements: int) -> list[am.MeshArrays]:
+    """Nested uniform meshes, coarse to fine: structured, or by Netgen and refined everywhere."""
+    if isinstance(coarse, int):
+        return [structured(problem.domain, coarse * 2**k) for k in range(refinements + 1)]
+    meshes = [graded(problem.domain, coarse, problem.pair_boundaries, 1)]
+    for _ in range(refinements):
+        meshes.append(bisect(meshes[-1], np.ones(len(meshes[-1].elements), dtype=bool))[0])
+    # a coarser one cannot pose the problem
+    return [mesh for mesh in meshes if len(mesh.boundary_nodes(problem.contact_boundaries[0])) >= 3]
 
 
-#: dimension -> sizes
-FULL: Mapping[int, Sizes] = {2: Sizes(30_000, 1_100_000, 30_000, 300_000), 3: Sizes(12_000, 300_000, 12_000, 250_000)}
-SIZES: Mapping[int, Sizes] = {2: Sizes(30_000, 1_100_000, 6000, 300_000), 3: Sizes(6000, 300_000, 2000, 120_000)}
-#: plane problems alone: kernels of solids need not be compiled
-QUICK: Mapping[int, Sizes] = {2: Sizes(4000, 70_000, 0, 40_000)}
-#: of a quick run
-QUICK_CASES = ("GRECO bar", "upset block", "flat punch", "dovetail")
-
-TEXT = (
-    "Every mesh is solved by the default method; uniform and graded ones on a hierarchy of their own with a nested "
-    "start, to a tenth of the discretisation error, as every step of the loop am.adapt is. Seconds: processor time of "
-    "one thread with warm kernels, for everything: meshes, matrices, transfers, solves, estimates, of an adaptive mesh "
-    "all steps before it too.")
-
-
-def run(context: common.Context) -> common.Section:
-    """All cases and families."""
-    sizes = QUICK if context.quick else FULL if context.full else SIZES
-    cases = {dim: [name for name, case in CASES.items() if case.dim == dim
-                   and not (context.quick and name not in QUICK_CASES)] for dim in sizes}
-    references = [context.study(runs.reference, {"case": cases[dim]}, nodes=size.reference)
-                  for dim, size in sizes.items()]
-    for size, found in zip(sizes.values(), references, strict=True):
-        for _, row in found.iterrows():
-            runs.YARDSTICKS[row["case"], size.reference] = runs.yardstick(row["case"], row)
-    rows = pd.concat([meshes(context, cases[dim], size) for dim, size in sizes.items()], ignore_index=True)
-    references = pd.concat(references, ignore_index=True)
-    return common.Section("Adaptive against uniform meshes", TEXT,
-                          [*tables(rows, references), *figures(rows, context.quick)], summary=summary(rows))
+def solutions(case: str, family: str, most: int):
+    """Yield hierarchy, result, and processor seconds so far of the meshes of a family."""
+    make, size, coarse = CASES[case]
+    problem, spent = make(), 0.0
+    begin = time.process_time()
+    if family != "uniform":
+        for step in am.adapt(problem, size, engine=ENGINES[family], max_nodes=most):
+            spent += time.process_time() - begin
+            yield step.hierarchy, step.result, spent
+            begin = time.process_time()     # measuring errors is not part of the loop
+        return
+    for refinements in range(1, 20):
+        begin = time.process_time()
+        meshes = uniform_meshes(problem, coarse, refinements)
+        if len(meshes) < 2:
+            continue
+        if meshes[-1].n_nodes > most:
+            return
+        grids = am.Hierarchy.from_meshes(problem, meshes)
+        result = am.solve(grids, am.FullMultigrid(rtol="discretisation"))
+        yield grids, result, time.process_time() - begin
 
 
-def meshes(context: common.Context, cases: Sequence[str], size: Sizes) -> pd.DataFrame:
-    """One row a mesh, of all families, case after case."""
-    slowed = [case for case in cases if not EXPONENTS[case] >= 1]
-    others = [family for family in runs.FAMILIES if family not in ("uniform", *runs.DEFAULT)]
-    # without a singularity uniform meshes come down to the error of the reference first
-    plan = [(others, cases, size.other), (runs.DEFAULT, cases, size.loop), (["uniform"], slowed, size.uniform),
-            (["uniform"], [case for case in cases if case not in slowed], size.uniform // 4)]
-    found = {}
-    for families, mine, most in plan:
-        if most and mine:
-            study = context.study(runs.family, {"case": mine, "family": list(families)}, timed=True, most=most,
-                                  reference_nodes=size.reference)
-            for _, row in study.iterrows():
-                key = (row["case"], row["family"])
-                found[key] = pd.DataFrame(json.loads(row["meshes"])).assign(case=key[0], family=key[1])
-    return pd.concat([found[case, family] for case in cases for family in runs.FAMILIES if (case, family) in found],
-                     ignore_index=True)
+@lru_cache(maxsize=1)
+def reference(case: str, nodes: int) -> Reference:
+    """A solution on a far finer, bisected mesh."""
+    make, size, _ = CASES[case]
+    *_, last = am.adapt(make(), size, engine=am.Bisect(), mark=am.Doerfler(0.6), max_nodes=nodes)
+    return Reference.of(last.hierarchy, am.solve(last.hierarchy, am.Multigrid(rtol=1e-9), start=last.result))
+
+
+def run(case: str, family: str, most: int, reference_nodes: int) -> dict:
+    """Errors and costs of all meshes of a family up to ``most`` nodes, as JSON."""
+    warm_up(3 if "3D" in case else 2)
+    against = reference(case, reference_nodes)
+    for _ in islice(solutions(case, family, 10**5), 2):     # kernels of this case
+        pass
+    rows = [{"nodes": grids.finest.n_nodes, "levels": len(grids), "cycles": result.cycles, "cpu": seconds,
+             "energy_error": energy_error(against, result).relative, "outcome": result.status.name}
+            for grids, result, seconds in solutions(case, family, most)]
+    return {"meshes": json.dumps(rows)}
+
+
+def at_error(rows: pd.DataFrame, error: float, column: str) -> float:
+    """Value of a column where the energy error has fallen to ``error``; NaN where no mesh reaches it."""
+    x, y = -np.log(rows["energy_error"].to_numpy()), np.log(rows[column].to_numpy())
+    return float(np.exp(np.interp(-np.log(error), x, y, right=np.nan)))
+
+
+def study(out: Output) -> None:
+    """Compute all families of all cases; compare costs at equal errors."""
+    cases = list(CASES)[:4] if out.quick else list(CASES)
+    parts = []
+    for case in cases:
+        solid = "3D" in case
+        loop = 3000 if out.quick else 12_000 if solid else 30_000
+        uniform = 20_000 if out.quick else 150_000 if solid else 300_000
+        for family in ("uniform", *ENGINES):
+            found = am.Study(run, {"case": [case], "family": [family]}, out.store, name=f"{case} {family}", fixed={
+                "most": uniform if family == "uniform" else loop,
+                "reference_nodes": loop * (8 if solid or out.quick else 5)}).run(throw=True)
+            parts.append(pd.DataFrame(json.loads(found["meshes"][0])).assign(case=case, family=family))
+    meshes = pd.concat(parts, ignore_index=True)
+    lines, curves = [], []
+    for case in cases:
+        of = {family: meshes[(meshes["case"] == case) & (meshes["family"] == family)] for family in ("uniform", *ENGINES)}
+        low, high = max(rows["energy_error"].min() for rows in of.values()), of["uniform"]["energy_error"].iloc[0]
+        line = {"problem": case, "energy error": 100 * low, "uniform": at_error(of["uniform"], low, "cpu")}
+        for name in ENGINES:
+            line[f"{name}: nodes"] = at_error(of["uniform"], low, "nodes") / at_error(of[name], low, "nodes")
+            line[f"{name}: seconds"] = line["uniform"] / at_error(of[name], low, "cpu")
+        lines.append(line)
+        errors = np.geomspace(high, low, 30)
+        curves.append((case, errors, [at_error(of["uniform"], e, "cpu") / at_error(of["remeshed"], e, "cpu")
+                                      for e in errors]))
+    table = pd.DataFrame(lines)
+    out.table("gains", table, "Adaptive against uniform meshes", "At the least energy error that all meshes reach: seconds "
+              "of uniform meshes, and nodes and seconds of uniform over those of adaptive meshes; above 1 adaptive "
+              "meshes save.", units={"energy error": "%", "uniform": "s"}, card="Adaptive against uniform meshes",
+              formats={"energy error": ".2g", "uniform": ".2f"}
+              | {f"{name}: {what}": ".1f" for name in ENGINES for what in ("nodes", "seconds")})
+    out.table("meshes", meshes[["case", "family", "nodes", "levels", "cycles", "energy_error", "cpu", "outcome"]],
+              "All meshes: nodes, energy error, processor seconds", units={"cpu": "s"},
+              formats={"energy_error": ".2e", "cpu": ".2f"})
+    figure, ax = plt.subplots(figsize=(6.4, 3.4))
+    for case, errors, ratios in curves:
+        ax.loglog(100 * errors, ratios, label=case)
+    ax.axhline(1.0, color="grey")
+    ax.set(xlabel="energy error [%]", ylabel="seconds, uniform over adaptive")
+    ax.invert_xaxis()
+    figure.legend(loc="outside right upper")
+    out.figure("seconds", figure, "Seconds on uniform meshes over those on remeshed ones at equal energy error; above 1 "
+               "adaptive meshes are quicker", card="Seconds at equal error")
+    *_, last = am.adapt(am.cases.dovetail(), 6e-3, max_nodes=1500 if out.quick else 4000)
+    out.figure("mesh", am.plot.mesh(last.result.mesh), f"An adaptive mesh of the dovetail, {last.nodes} nodes")
+    out.check("nodes of uniform over those of bisected meshes, flat punch", float(
+        table.set_index("problem").loc["flat punch", "bisected: nodes"]), low=3.0)
 
 
 if __name__ == "__main__":
-    common.main(run, __doc__.split("\n")[0])
+    main(study)

@@ -1,18 +1,19 @@
-"""What every study shares: problems, exact discrete solutions, work at equal true error, output.
+"""What the studies share: problems, exact discrete solutions, and where tables, figures and checked numbers go.
 
-A study is a module with ``run(context) -> Section``. Computation goes through :class:`adaptmg.Study` into the store of
-the context; tables and figures are made from what is stored.
+A study is a script with a function ``study(out)``: it computes with :class:`adaptmg.Study` into ``out.store`` and makes
+its tables and figures from what is stored. The first line of its docstring is its question; the paragraphs after the
+command line say what is compared. :func:`main` runs it alone, ``reproduce.py`` runs all and makes the report.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import os
-import re
+import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -26,139 +27,106 @@ matplotlib.use("Agg")
 
 import numpy as np
 import pandas as pd
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.figure import Figure
 
 import adaptmg as am
 from adaptmg._files import make_folder, write_bytes
-from adaptmg.export.report import small_png
-from adaptmg.mesh import refine_near, structured
+from adaptmg.export.report import picture_of, small_png
+from adaptmg.study.tables import as_text
 
-# sections that are made at the same time hold their figures until they are drawn
-matplotlib.rcParams["figure.max_open_warning"] = 0
-
-DATA = Path(__file__).resolve().parent.parent / "data" / "paper"
+PAPER = Path(__file__).resolve().parent.parent / "data" / "paper"
 
 PROBLEMS: Mapping[str, Callable[[], am.ContactProblem]] = {
     "frictionless bar": lambda: am.cases.greco_bar(law=am.Frictionless()),
+    "GRECO bar": lambda: am.cases.greco_bar(law=am.Coulomb(1.0)),
     "curved obstacle": lambda: am.cases.curved_obstacle(),
-    "Coulomb bar": lambda: am.cases.greco_bar(law=am.Coulomb(1.0)),
 }
 
 
-def plain_powers(text: str) -> str:
-    """Python's 1e-06 as 1e-6."""
-    return re.sub(r"(?<=\de)([+-])0(?=\d\b)", r"\1", text)
+class Output:
+    """Where one study puts what it finds: CSV files, pictures, and ``section.json`` for the report.
 
-
-class _Worded:
-    """Something with texts."""
-
-    def __post_init__(self) -> None:
-        for name in ("caption", "note", "text", "summary"):
-            if hasattr(self, name):
-                setattr(self, name, plain_powers(getattr(self, name)))
-
-
-@dataclass
-class Table(_Worded):
-    """A table of a study: what is printed, written as CSV and put into the report.
-
-    ``open`` says whether it stands open in the report; None: the first table of a section does.
-    """
-
-    name: str
-    frame: pd.DataFrame
-    caption: str
-    note: str = ""
-    units: Mapping[str, str] = field(default_factory=dict)
-    formats: Mapping[str, str] = field(default_factory=dict)
-    open: bool | None = None
-
-
-@dataclass
-class Figure(_Worded):
-    """A figure of a study."""
-
-    name: str
-    figure: Any
-    caption: str
-
-
-@dataclass
-class Headline(_Worded):
-    """What a study has to say on the first screen of the report, at a place that :data:`front.PLACES` names.
-
-    ``item`` is a small table (five rows, five columns) or a figure of some 5.6 x 2.5 inches, ``text`` a sentence or
-    two.
-    """
-
-    place: str
-    item: Table | Figure
-    text: str
-
-
-@dataclass
-class Section(_Worded):
-    """What a study returns.
-
-    ``summary`` says what was asked, what came out and why it differs from the paper, in few sentences; ``text`` has
-    the reasons, most of it folded. ``seeds`` names the random numbers, if any.
-    """
-
-    title: str
-    text: str
-    items: list[Table | Figure] = field(default_factory=list)
-    summary: str = ""
-    headline: list[Headline] = field(default_factory=list)
-    seeds: str = ""
-
-
-def in_this_process(study: am.Study, timed: bool) -> pd.DataFrame:
-    """The rows of a study, run after run."""
-    return study.run(throw=True)
-
-
-def with_texts(study: am.Study, table: pd.DataFrame) -> pd.DataFrame:
-    """The table with the long texts themselves, which the store keeps as files."""
-    for name in table.columns.difference(study.parameters):
-        kept = [isinstance(value, str) and value.endswith(".txt") for value in table[name]]
-        if any(kept):
-            table[name] = [study.load(k, name) if long else value
-                           for k, (value, long) in enumerate(zip(table[name], kept, strict=True))]
-    return table
-
-
-@dataclass
-class Context:
-    """How a study is to run.
-
-    Attributes
+    Parameters
     ----------
+    name : str
+        Name of the study's script.
+    folder : Path
+        Folder of all studies; this one writes into ``folder/name``.
     quick : bool
         Smaller grids, seconds instead of minutes.
-    out : Path
-        Directory of CSV files, pictures and the store.
     full : bool
-        More than the paper asks: fine references, histories, campaigns.
-    compute : callable
-        Gives the rows of a study, told whether its runs are timed; :mod:`together` has one for a cluster.
-    alone : callable
-        A context manager for what is measured without a study: entered when nothing else computes.
+        Larger grids than the default.
     """
 
-    quick: bool
-    out: Path
-    full: bool = False
-    compute: Callable[[am.Study, bool], pd.DataFrame] = in_this_process
-    alone: Callable[[], AbstractContextManager[None]] = nullcontext
+    def __init__(self, name: str, folder: Path, quick: bool = False, full: bool = False) -> None:
+        self.name, self.quick, self.full = name, quick, full
+        self.folder = folder / name
+        make_folder("--out", self.folder)
+        #: where :class:`adaptmg.Study` keeps its runs
+        self.store = self.folder / ("quick.sqlite" if quick else "runs.sqlite")
+        self.items: list[dict[str, Any]] = []
+        self.failed: list[str] = []
+        self._begin = time.perf_counter()
 
-    def study(self, run: Callable[..., dict[str, Any]], parameters: Mapping[str, Sequence[Any]], *,
-              timed: bool = False, **fixed: Any) -> pd.DataFrame:
-        """Run a parameter study through the store of this context; rows that are stored are not computed again."""
-        make_folder("--out", self.out)
-        study = am.Study(run, parameters, self.out / "studies.sqlite", fixed=fixed,
-                         name=f"{Path(run.__code__.co_filename).stem}.{run.__name__}")
-        return with_texts(study, self.compute(study, timed))
+    def table(self, name: str, frame: pd.DataFrame, caption: str, note: str = "", *, units: Mapping[str, str] | None = None,
+              formats: Mapping[str, str] | None = None, card: str = "") -> None:
+        """Print a table and write it as CSV; ``card`` puts it on the report's first screen, with ``note`` below."""
+        write_bytes(self.folder / f"{name}.csv", frame.to_csv(index=False).encode())
+        print("\n" + as_text(frame, caption=caption, note=note, units=units, formats=formats))
+        self.items.append({"kind": "table", "name": name, "caption": caption, "note": note, "units": dict(units or {}),
+                           "formats": dict(formats or {}), "card": card})
+
+    def figure(self, name: str, figure: Figure, caption: str, *, card: str = "") -> None:
+        """Write a figure as PNG; ``card`` puts it on the report's first screen."""
+        target = self.folder / f"{name}.png"
+        write_bytes(target, small_png(figure))
+        picture = picture_of(figure, caption)
+        print(f"\n[figure {target}] {caption}")
+        self.items.append({"kind": "figure", "name": name, "caption": caption, "source": picture.source,
+                           "width": picture.width, "card": card})
+
+    def check(self, sentence: str, value: float, low: float = -np.inf, high: float = np.inf) -> None:
+        """Compare a number of this run with its bounds; the study fails where it lies outside."""
+        met = bool(low <= value <= high)
+        bounds = " and ".join(f"{word} {bound:g}" for word, bound in (("at least", low), ("at most", high))
+                              if np.isfinite(bound))
+        text = f"{sentence}: {value:.3g} ({bounds}{'' if met else '; NOT MET'})"
+        print(f"\n{'checked' if met else 'FAILED'}: {text}")
+        self.items.append({"kind": "check", "text": text, "met": met})
+        self.failed += [] if met else [text]
+
+    def close(self, docstring: str) -> None:
+        """Write the section for the report."""
+        title, text = question_and_text(docstring)
+        section = {"title": title, "text": text, "items": self.items, "seconds": time.perf_counter() - self._begin}
+        write_bytes(self.folder / "section.json", json.dumps(section, indent=1).encode())
+
+
+def question_and_text(docstring: str) -> tuple[str, str]:
+    """The first line of a study's docstring, and its paragraphs after the indented command lines."""
+    first, *others = docstring.strip().split("\n\n")
+    return first, "\n\n".join(" ".join(part.split()) for part in others if not part.startswith("    "))
+
+
+def main(study: Callable[[Output], None]) -> None:
+    """Run the study of a script from the command line; exit code 1 if its checked number is outside its bounds."""
+    script, docstring = Path(sys.argv[0]), sys.modules[study.__module__].__doc__ or ""
+    parser = argparse.ArgumentParser(description=question_and_text(docstring)[0],
+                                     epilog=f"example: python studies/{script.name} --quick --out /tmp/results")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="smaller grids, seconds instead of minutes")
+    size.add_argument("--full", action="store_true", help="larger grids than the default; minutes")
+    parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR", help="default: results")
+    arguments = parser.parse_args()
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    try:
+        out = Output(script.stem, arguments.out, arguments.quick, arguments.full)
+        study(out)
+        out.close(docstring)
+    except OSError as error:
+        raise SystemExit(f"{script.name}: {error}") from error
+    if out.failed:
+        raise SystemExit(f"{script.name}: not met: {'; '.join(out.failed)}")
 
 
 @lru_cache(maxsize=32)
@@ -167,134 +135,57 @@ def grids(problem: str, divisions: tuple[int, ...]) -> am.Hierarchy:
     return am.Hierarchy.uniform(PROBLEMS[problem](), divisions=divisions)
 
 
+def chain(finest: int, levels: int) -> tuple[int, ...]:
+    """Divisions of nested grids, halved from the finest, coarsest first."""
+    return tuple(finest // 2**k for k in reversed(range(levels)))
+
+
 @lru_cache(maxsize=32)
 def exact(problem: str, divisions: int) -> am.Result:
     """The exact discrete solution by an independent method: semismooth Newton with direct solves, residual 1e-12."""
-    hierarchy = grids(problem, _nested_below(divisions))
-    return am.solve(hierarchy, am.ActiveSet(rtol=1e-12, nested_start=True))
-
-
-def _nested_below(divisions: int) -> tuple[int, ...]:
-    chain = [divisions]
-    while chain[0] % 2 == 0 and chain[0] > 4:
-        chain.insert(0, chain[0] // 2)
-    return tuple(chain)
-
-
-def energy_error(result: am.Result, reference: am.Result, hierarchy: am.Hierarchy) -> float:
-    """||u - u_h||_A / ||u_h||_A."""
-    discrete = hierarchy.finest.discrete
-    matrix = discrete.matrix
-    # between bodies the matrix is that of relative coordinates
-    error = discrete.relative(result.displacement - reference.displacement).reshape(-1)
-    u = discrete.relative(reference.displacement).reshape(-1)
-    return float(np.sqrt(error @ (matrix @ error) / (u @ (matrix @ u))))
-
-
-def first_below(result: am.Result, tolerance: float) -> dict[str, float]:
-    """Cycles, work units and seconds when the true error first fell below a tolerance."""
-    error = result.history["true_error"]
-    below = np.flatnonzero(error <= tolerance)
-    names = ("cycle", "work_units", "seconds")
-    if not below.size:
-        return dict.fromkeys(names, float("nan"))
-    k = int(below[0])
-    share = 1.0
-    if k > 0 and error[k] > 0:
-        share = np.log(error[k - 1] / tolerance) / np.log(error[k - 1] / error[k])
-    return {name: float(result.history[name][k] if k == 0 else
-                        (1 - share) * result.history[name][k - 1] + share * result.history[name][k])
-            for name in names}
+    levels = next(n for n in range(1, 9) if divisions % 2**n or divisions // 2**n < 4)
+    return am.solve(grids(problem, chain(divisions, levels)), am.ActiveSet(rtol=1e-12, nested_start=True))
 
 
 @lru_cache(maxsize=4)
 def warm_up(dim: int = 2) -> None:
     """Compile and load all that meshing and solving need, so that no measured second is one of the compiler."""
-    if dim == 2:
-        refine_near(structured(am.cases.greco_bar().domain, 2), "bottom")
-        hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), (20e-3, 10e-3), contact_ratio=2)
-    else:
-        hierarchy = am.Hierarchy.graded(am.cases.greco_block(), (40e-3, 20e-3))
-    for solver in (am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(),
-                   am.ActiveSet(linear=am.AMG())):
-        am.solve(hierarchy, solver, throw=False)
+    case = am.cases.greco_bar if dim == 2 else am.cases.greco_block
+    for law in (am.Coulomb(1.0), am.Frictionless()):
+        hierarchy = am.Hierarchy.graded(case(law=law), (20e-3, 10e-3) if dim == 2 else (40e-3, 20e-3), contact_ratio=2)
+        for solver in (am.FullMultigrid(), am.Multigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(),
+                       am.ActiveSet(linear=am.AMG())):
+            am.solve(hierarchy, solver, throw=False)
 
 
-def seconds_by_phase(hierarchy: am.Hierarchy, result: am.Result) -> dict[str, float]:
-    """Seconds of meshing, assembly, transfer, the solver's set-up (factorisations too) and its solve, and their sum."""
-    setup = sum(result.timings.get(name, 0.0) for name in ("setup", "factorise"))
-    phases = {f"{name}_s": hierarchy.timings.get(name, 0.0) for name in ("mesh", "assembly", "transfer")}
-    phases |= {"setup_s": setup, "solve_s": result.seconds - setup}
-    return phases | {"total_s": sum(phases.values())}
-
-
-def quickest(hierarchy: am.Hierarchy, solver: Any, seconds: float = 0.5, times: int = 3) -> am.Result:
-    """Solve up to ``times`` times, as long as that takes no more than ``seconds``, and keep the quickest run."""
-    results = [am.solve(hierarchy, solver, throw=False)]
-    while len(results) < times and sum(r.seconds for r in results) < seconds:
-        results.append(am.solve(hierarchy, solver, throw=False))
+def quickest(hierarchy: am.Hierarchy, solver: Any, times: int = 3, seconds: float = 0.5, **options: Any) -> am.Result:
+    """Solve up to ``times`` times, as long as that takes no more than ``seconds``, and return the quickest run."""
+    results = [am.solve(hierarchy, solver, throw=False, **options)]
+    while len(results) < times and sum(result.seconds for result in results) < seconds:
+        results.append(am.solve(hierarchy, solver, throw=False, **options))
     return min(results, key=lambda result: result.seconds)
 
 
+def work_to(result: am.Result, error: float) -> float:
+    """Work units when the true error first fell below ``error``, interpolated in its logarithm; NaN if it did not."""
+    history, work = np.log(result.history["true_error"]), result.history["work_units"]
+    below = np.flatnonzero(history <= np.log(error))
+    if not below.size:
+        return np.nan
+    k = max(int(below[0]), 1)
+    return float(np.interp(-np.log(error), -history[k - 1:k + 1], work[k - 1:k + 1]))
+
+
+def total_seconds(hierarchy: am.Hierarchy, result: am.Result) -> float:
+    """Seconds of meshing, assembly, transfers and the solve with its set-up."""
+    return sum(hierarchy.timings.get(name, 0.0) for name in ("mesh", "assembly", "transfer")) + result.seconds
+
+
 def slope(x: Sequence[float], y: Sequence[float]) -> float:
-    """Exponent of y ~ x^slope, fitted by least squares to the logarithms; NaN of fewer than three points."""
-    if len(x) < 3:
-        return float("nan")
+    """Exponent of y ~ x^slope, fitted by least squares to the logarithms."""
     return float(np.polyfit(np.log(np.asarray(x, dtype=float)), np.log(np.asarray(y, dtype=float)), 1)[0])
-
-
-def plain_ticks(*axes: Any) -> None:
-    """Label logarithmic axes (``ax.xaxis``, ...) without exponents, as many as there is room for."""
-    for axis in axes:
-        low, high = axis.get_view_interval()
-        span = high / low if low > 0 else 1.0
-        subs = (1.0, 2.0, 5.0) if span <= 30 else (1.0, 3.0) if span <= 300 else (1.0,)
-        axis.set_major_locator(LogLocator(subs=subs))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
 
 
 def paper(name: str) -> pd.DataFrame:
     """A table of the paper, from data/paper."""
-    return pd.read_csv(DATA / f"{name}.csv", comment="#")
-
-
-def write_picture(figure: Any, path: Path, dpi: int = 130) -> None:
-    """Write a figure as PNG with 256 colours, whole or not at all."""
-    make_folder("--out", path.parent)
-    write_bytes(path, small_png(figure, dpi))
-
-
-def show(section: Section, out: Path, pictures: bool = True) -> None:
-    """Print a section's tables; write them as CSV, and the figures as PNG if they are wanted."""
-    from adaptmg.study.tables import as_text
-
-    said = "\n\n".join(text for text in (section.summary, section.text) if text)
-    print(f"\n{section.title}\n{'=' * len(section.title)}\n{said}")
-    for item in section.items:
-        if isinstance(item, Table):
-            print("\n" + as_text(item.frame, caption=item.caption, note=item.note, units=item.units,
-                                 formats=item.formats))
-            make_folder("--out", out)
-            text = item.frame.to_csv(index=False)
-            write_bytes(out / f"{item.name}.csv", text.encode("utf-8", "backslashreplace"))
-        elif pictures:
-            target = out / f"{item.name}.png"
-            write_picture(item.figure, target)
-            print(f"\n[figure {target}] {item.caption}")
-
-
-def main(run: Callable[[Context], Section], description: str) -> None:
-    """Command line of a study script."""
-    parser = argparse.ArgumentParser(description=description)
-    size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="smaller grids, seconds instead of minutes")
-    size.add_argument("--full", action="store_true", help="more than the paper asks; minutes")
-    parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
-                        help="where CSV files, pictures and the store go (default: results)")
-    arguments = parser.parse_args()
-    logging.basicConfig(level=logging.INFO, format="%(message)s")
-    try:
-        show(run(Context(arguments.quick, arguments.out, arguments.full)), arguments.out)
-    except OSError as error:
-        raise SystemExit(f"{parser.prog}: {error}") from error
+    return pd.read_csv(PAPER / f"{name}.csv", comment="#")

@@ -1,167 +1,93 @@
-"""The dovetail joint, Example 2 of the paper: its Tables 1 to 3 on two bodies, sweeps, and a load history.
+"""Example 2, the dovetail joint: what do several grids gain on two bodies, and what does a load history cost?
 
     python studies/dovetail.py [--quick | --full] [--out DIR]
 
-The geometry and loads are ours (:func:`adaptmg.cases.dovetail`); the paper reports its results on Example 2 in a talk
-only. Independent meshes throughout. The load history is in :mod:`dovetail_history`, the comparison with one body and
-the sweeps in :mod:`dovetail_sweeps`, pictures in :mod:`dovetail_pictures`.
+The paper prints a picture of this example (its Fig. 3) and no numbers; geometry and loads are ours: a tongue pulled out
+of its notch, one half by symmetry, plane strain, friction .2, independent meshes four times finer at contact. Every
+method runs to a true error of 1e-6. A joint that only contact holds is far softer than the bar of Example 1: one grid
+needs condensation or over-relaxation. Where the active set method is quicker in seconds, its row shows it; its direct
+factorisations are not in the work. Then the joint is clamped, pulled out and let go in load steps.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
-from typing import Any
 
-import dovetail_history
-import dovetail_pictures
-import dovetail_sweeps
 import pandas as pd
-from assembly_tables import compile_coupled, counts_table, counts_text, grid_counts, smoothing_table, start_table
-from common import Context, Figure, Section, Table, main
-from paper_runs import TARGET, measured, repeats, span, table
+from common import Output, main, quickest, warm_up, work_to
 
 import adaptmg as am
 
-#: sizes away from contact, m; at contact 4 times finer. The third has about as many nodes as the paper's grid 1
+#: sizes away from contact, m; at contact four times finer. The third grid has about as many nodes as the paper's first
 SIZES = (8e-3, 4e-3, 2e-3, 1e-3)
-NAME = "dovetail"
-START_REMARK = ("From zero the joint loses contact first, and the contact zones have to be found, in the truncated "
-                "mode by safe cycles.")
-SOFT = ("A joint that only contact holds is far softer than the bar of Example 1: one grid needs over-relaxation or "
-        "condensation. ")
-OMEGAS = (1.9, 1.97, 1.98, 1.95)
-CONDENSED_OMEGAS = (1.7, 1.8, 1.95, 1.9)
-MOST_SWEEPS = 20_000
-QUICK_SWEEPS = 2500
-#: sweeps before and after the correction
-SMOOTHINGS = ((1, 0), (2, 0), (3, 0), (4, 0), (6, 0), (1, 1), (2, 1), (2, 2), (3, 3))
-QUICK_SMOOTHINGS = ((1, 0), (2, 0), (1, 1))
-INTERFACE = (0, 1, 2, 3, 4)
-CYCLES = 300
+TARGET = 1e-6
+METHODS = {
+    "one grid, omega 1.97": am.SingleGrid(omega=1.97, rtol=TARGET, max_sweeps=20_000),
+    "one grid, condensed, omega 1.8": am.SingleGrid(omega=1.8, condensed=True, rtol=TARGET, max_sweeps=20_000),
+    "active set, direct": am.ActiveSet(rtol=TARGET),
+    "monotone, W": am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="W"), rtol=TARGET, max_cycles=300),
+    "default from zero": am.Multigrid(rtol=TARGET),
+    "default (truncated)": am.FullMultigrid(rtol=TARGET),
+}
+HISTORY = am.LoadPath({"tongue.top": [0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0], "block.side": 1.0})
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def chain(finest: int, levels: int) -> am.Hierarchy:
     """``levels`` grids of the joint, the finest of which is that of ``SIZES[finest]``."""
     return am.Hierarchy.graded(am.cases.dovetail(), SIZES[finest + 1 - levels:finest + 1], contact_ratio=4)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def exact(finest: int) -> am.Result:
-    """The exact discrete solution by an independent method: semismooth Newton with direct solves."""
+    """The exact discrete solution by semismooth Newton with direct solves."""
     return am.solve(chain(finest, 1), am.ActiveSet(rtol=1e-12))
 
 
-def one_grid(finest: int, condensed: bool, omega: float, max_sweeps: int, rtol: float, target: float, times: int
-             ) -> dict[str, Any]:
-    """The paper's regular resolution."""
-    solver = am.SingleGrid(omega=omega, condensed=condensed, max_sweeps=max_sweeps, rtol=rtol)
-    return on_chain(finest, 1, solver, target, times)
-
-
-def several_grids(finest: int, levels: int, method: str, rtol: float, target: float, times: int) -> dict[str, Any]:
-    """A full multigrid start and cycles; ``method`` is "truncated" or "monotone V", "monotone W", ..."""
-    solver = (am.FullMultigrid(rtol=rtol) if method == "truncated" else
-              am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape=method.split()[1]), rtol=rtol,
-                               max_cycles=CYCLES))
-    return on_chain(finest, levels, solver, target, times)
-
-
-def smoothing(finest: int, counts: tuple[int, int], stop: str, rtol: float, target: float, times: int
-              ) -> dict[str, Any]:
-    """Two grids in the monotone mode, n sweeps before and after the correction; full start."""
-    pre, post = counts
-    solver = am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(pre=pre, post=post), stop=stop, rtol=rtol,
-                              max_cycles=CYCLES)
-    return on_chain(finest, 2, solver, target, times)
-
-
-def local_smoothing(finest: int, levels: int, interface: int, coarse: int, rtol: float, target: float, times: int
-                    ) -> dict[str, Any]:
-    """The truncated mode with n sweeps along the interface, and on the coarser levels."""
-    correction = am.Truncated(interface_sweeps=interface, coarse_sweeps=coarse)
-    return on_chain(finest, levels, am.FullMultigrid(correction=correction, rtol=rtol), target, times)
-
-
-def start(finest: int, levels: int, correction: str, full: bool, rtol: float, target: float, times: int
-          ) -> dict[str, Any]:
-    """With and without the full multigrid start."""
-    kind = am.Truncated() if correction == "truncated" else am.Monotone()
-    method = am.FullMultigrid if full else am.Multigrid
-    return on_chain(finest, levels, method(correction=kind, rtol=rtol, max_cycles=CYCLES), target, times)
-
-
-def on_chain(finest: int, levels: int, solver: Any, target: float, times: int) -> dict[str, Any]:
-    """One row, see :func:`paper_runs.measured`."""
+def run(method: str, levels: int, finest: int) -> dict:
+    """One method; the quickest of three runs."""
     warm_up()
-    grids = chain(finest, levels)
-    row = measured(grids, solver, exact(finest), target, times)
-    return row | {"grids": "/".join(str(level.n_nodes) for level in reversed(grids.levels))}
+    am.solve(chain(1, 2), METHODS[method], throw=False)     # kernels of two bodies
+    result = quickest(chain(finest, levels), METHODS[method], reference=exact(finest))
+    return {"nodes": chain(finest, levels).finest.n_nodes, "cycles": result.cycles, "work": work_to(result, TARGET),
+            "solve_seconds": result.seconds, "final_error": result.history["true_error"][-1],
+            "outcome": result.status.name}
 
 
-@lru_cache(maxsize=1)
-def warm_up() -> None:
-    """Compile what two bodies need beyond :func:`common.warm_up`."""
-    compile_coupled(chain(1, 2))
+def history(sizes: tuple[float, ...]) -> am.PathResult:
+    """The joint clamped, pulled and let go."""
+    return am.solve_path(am.Hierarchy.graded(am.cases.dovetail(), sizes, contact_ratio=4), HISTORY)
 
 
-def run(context: Context) -> Section:
-    """Tables and figures; see the module."""
-    finest = 2 if context.quick else 3
-    fixed = {"finest": finest, "target": TARGET, "times": repeats(context)}
-    counts = grid_counts(context, fixed, one_grid, several_grids, {False: OMEGAS, True: CONDENSED_OMEGAS},
-                         QUICK_SWEEPS if context.quick else MOST_SWEEPS,
-                         lambda n: ("monotone V", "monotone W", "truncated") if n > 2 else ("monotone V", "truncated"))
-    items: list[Table | Figure] = [] if context.quick else [dovetail_pictures.posed()]
-    items += [counts_table("dovetail_grids", NAME, counts, SOFT), dovetail_pictures.error_figure(counts)]
-    smoothings = QUICK_SMOOTHINGS if context.quick else SMOOTHINGS
-    items += [smoothing_table(context, smoothing, smoothings, NAME, fixed), local_table(context, fixed),
-              start_table(context, start, NAME, fixed, START_REMARK)]
-    items += dovetail_pictures.solution(context.quick)
-    said = summary(counts)
-    if context.full:
-        sweeps, ratios = dovetail_sweeps.items(context)
-        history, costs = dovetail_history.items(context)
-        items += [*sweeps, *history]
-        said += further_text(ratios, costs)
-    return Section("Example 2: the dovetail joint", "", items, summary=said)
-
-
-def local_table(context: Context, fixed: dict[str, Any]) -> Table:
-    """What the sweeps of the truncated mode do."""
-    levels = fixed["finest"] + 1
-    frame = context.study(local_smoothing, {"interface": INTERFACE[:3:2] if context.quick else INTERFACE, "coarse": (1,)
-                                            if context.quick else (1, 2)}, levels=levels, rtol=1e-8, **fixed)
-    frame = frame.assign(**{"interface sweeps": frame["interface"], "coarse sweeps": frame["coarse"],
-                            "test": "error 1e-08"})
-    none, default = (frame[(frame["interface"] == n) & (frame["coarse"] == 1)].iloc[0] for n in (0, 2))
-    least = frame.loc[frame["work"].idxmin()]
-    note = (f"Sweeps within two elements of the interface after the one symmetric sweep of a cycle: without them "
-            f"{none['cycles']} cycles, rate {none['rate']:.2f}; with two (the default) {default['cycles']} and "
-            f"{default['rate']:.2f}. Coarse sweeps: before and after each correction on the coarser levels, on these "
-            f"grids one by default. Least work with {least['interface']} and {least['coarse']}.")
-    return table("dovetail_local", frame, ["interface sweeps", "coarse sweeps", "grids", "cycles", "work", "rate",
-                                           "run_seconds", "test", "true_error", "residual", "outcome"],
-                 "Truncated mode, full start: sweeps along the interface and on the coarser levels", note,
-                 {"interface sweeps": "d", "coarse sweeps": "d"})
-
-
-def summary(counts: pd.DataFrame) -> str:
-    """What was asked and what came out."""
-    return ("Tables 1 to 3 on the paper's Example 2, of which it prints no figures; geometry and loads are ours: a "
-            "tongue pulled out of its notch, one half by symmetry, plane strain, Coulomb friction .2, "
-            f"{counts['grids'].iloc[0]} nodes. {counts_text(counts)}")
-
-
-def further_text(ratios: pd.DataFrame, costs: pd.DataFrame) -> str:
-    """What the sweeps and the load history add."""
-    pulled = costs[~costs["unload"].astype(bool)]
-    return (" Against one body (the GRECO bar, same sizes and grading, friction .2) two need "
-            f"{span(ratios['ratio'].dropna(), '.2f')} times the work units, at rates up to "
-            f"{ratios['rate'].max():.2f}. Ten steps of pull cost {pulled['work ratio'].max():.1f} times the "
-            "work units of one at most.")
+def study(out: Output) -> None:
+    """Compute the methods on one to four grids, and the load history."""
+    finest = 2 if out.quick else 3
+    counts = [2, 3] if out.quick else [2, 3, 4]
+    points = [{"method": name, "levels": n} for name in METHODS
+              for n in ([1] if name.startswith(("one", "active")) else counts)]
+    table = am.Study(run, points, out.store, fixed={"finest": finest}).run(throw=True)
+    table = table[["method", "levels", "nodes", "cycles", "work", "solve_seconds", "final_error", "outcome"]]
+    out.table("methods", table.rename(columns={"levels": "grids", "solve_seconds": "seconds"}),
+              "Dovetail: cycles, work and seconds to a true error of 1e-6", units={"work": "WU", "seconds": "s"},
+              formats={"work": ".1f", "seconds": ".3f", "final_error": ".0e"})
+    steps = history(SIZES[:2] if out.quick else SIZES[:3])
+    lift = {"lift of the neck [µm]": lambda step: 1e6 * step.probe([(0.0, 24e-3)])[0, 1]}
+    pull = 100 * HISTORY.factors["tongue.top"]
+    rows = pd.DataFrame({"pull": pull, "lift": [lift["lift of the neck [µm]"](step) for step in steps],
+                         "largest pressure": [1e-6 * step.contact.pressure.max() for step in steps],
+                         "cycles": [step.cycles for step in steps], "work": [step.work_units for step in steps],
+                         "residual": [step.residual for step in steps]})
+    out.table("history", rows, "Dovetail clamped, pulled and let go", "The clamp stays; friction acts on the increments.",
+              units={"pull": "MPa", "lift": "µm", "largest pressure": "MPa", "work": "WU"},
+              formats={"lift": ".2f", "largest pressure": ".0f", "work": ".0f", "residual": ".0e"})
+    pulled = steps[4]
+    out.figure("deformed", am.plot.deformation(pulled, 20, states=True), "Displacement amplified 20 times, as in Fig. 3 "
+               "of the paper; colours show the contact states")
+    out.figure("flank", am.plot.contact(pulled, boundary="tongue.flank"), "The flank from the chamfer (arc length 0) to "
+               "the mouth: pressure, friction within its bound, gap and slip")
+    out.figure("hysteresis", am.plot.load_history(steps, pull, lift, against="pull [MPa]"), "Lift of the neck against "
+               "the pull: friction leaves a hysteresis")
+    best = table[table["method"] == "default (truncated)"]
+    out.check("cycles of the default on the most grids", float(best["cycles"].iloc[-1]), high=16)
 
 
 if __name__ == "__main__":
-    main(run, "The dovetail joint: Tables 1 to 3 on two bodies; with --full sweeps and a load history. "
-              "Example: python studies/dovetail.py --quick --out /tmp/dovetail")
+    main(study)

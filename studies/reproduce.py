@@ -1,171 +1,159 @@
-"""All studies, one HTML report that opens offline, with the tables as CSV next to it.
+"""All studies, one HTML report that opens offline, with the tables as CSV and the figures as PNG next to it.
 
-    python studies/reproduce.py [--quick | --full] [--workers N] [--out DIR] [--fresh] [--pictures] [STUDY ...]
+    python studies/reproduce.py [--quick | --full] [--workers N] [--out DIR] [--fresh] [STUDY ...]
+
+Each study is a script of its own (python studies/STUDY.py) that stores its runs, so that an interrupted call goes on.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
+import json
 import os
+import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-import front
-import together
-from common import Context, Figure, Section, Table, show
-from watching import Watching
-
-if TYPE_CHECKING:
-    from adaptmg.export import Report
-    from adaptmg.export.report import Picture
-
-STUDIES = ("grid_count", "smoothing_count", "full_multigrid", "dovetail", "bolted_junction", "adaptive_vs_uniform",
-           "transfer_operators", "amg_comparison")
-#: only with --full, or where they are named: minutes on large grids, and campaigns of hundreds of problems
-LARGE = ("hertz", "estimator_effectivity", "goal_greco", "kernels", "benchmark", "robustness", "true_errors",
-         "adaptive_campaign")
+HERE = Path(__file__).resolve().parent
+#: studies of a default run with their seconds on two cores; the second group is computed alone, as seconds matter there
+STUDIES = {"table_1_grids": 12, "table_2_smoothings": 15, "table_3_full_multigrid": 12, "dovetail": 30,
+           "bolted_junction": 30, "estimators": 30, "transfers": 30}
+TIMED = {"amg": 40, "adaptive_vs_uniform": 90}
+#: only with --full, or where they are named
+LARGE = {"hertz": 120, "benchmark": 300}
 TITLE = "adaptmg: multigrid for frictional contact"
-SUMMARY = "'Multigrid in Structure Assembling Problem' recomputed: its tables next to ours, and what they leave open."
+SUMMARY = """The paper Multigrid in Structure Assembling Problem recomputed: its three tables next to
+ours, its assemblies, and what it leaves open, adaptive meshes with non-nested grids."""
 TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,
-inside coarse solves and in nested starts too. It counts matrix read, not operations: a pass of the default method's
-half sweeps uses each entry twice, a sweep of the other methods once. Direct factorisations are reported in seconds
-only.
+inside coarse solves and in nested starts too. Not counted: direct factorisations, which are in the seconds only; a pass
+of the default method's half sweeps uses each entry twice, a sweep of the other methods once.
 
 True error: ||u - u_h||_A / ||u_h||_A against the exact discrete solution, found by an independent method (semismooth
 Newton with direct solves).
 
-Natural residual: how far the contact and friction conditions and equilibrium are from met, relative to loads, contact
-forces and reactions. CONVERGED: the estimated error is below the tolerance and the residual below ten times that.
-LIMIT: cycles or sweeps ran out before. STALLED: the iteration no longer changes though the residual is above.
-
-Seconds are of this machine and this run, on one thread. Those of adaptive meshes, of building transfers and of
-algebraic multigrid were measured alone; elsewhere other runs may have gone on at the same time, so that they are
-rough. The paper counts grid 1 as the finest."""
+Seconds are of this machine and this run, on one thread; those of tables 1 to 3 were measured while another study ran.
+The paper counts grid 1 as the finest."""
 
 
-def main() -> None:
-    """Command line."""
+def main() -> int:
+    """Command line; exit code 1 where a study failed."""
     arguments = _parser().parse_args()
-    unknown = sorted(set(arguments.studies) - set(STUDIES + LARGE))
-    if unknown:
-        raise SystemExit(f"reproduce.py: unknown study {', '.join(unknown)}; there are {', '.join(STUDIES + LARGE)}")
+    known = STUDIES | TIMED | LARGE
+    if unknown := sorted(set(arguments.studies) - set(known)):
+        raise SystemExit(f"reproduce.py: unknown study {', '.join(unknown)}; there are {', '.join(known)}")
+    names = arguments.studies or [*STUDIES, *TIMED, *(LARGE if arguments.full else [])]
     out = arguments.out / "quick" if arguments.quick else arguments.out
+    say(f"{len(names)} studies{' on small grids' * arguments.quick}, {arguments.workers} at a time; the first run on a "
+        "machine compiles kernels for a minute or two")
     if arguments.fresh:
-        (out / "studies.sqlite").unlink(missing_ok=True)
-    names = arguments.studies or (STUDIES + LARGE if arguments.full else STUDIES)
-    failed = report(Context(arguments.quick, out, arguments.full), names, arguments.workers, arguments.pictures)
-    if failed:
-        raise SystemExit(f"reproduce.py: failed: {', '.join(failed)} (the report says why; called again, it goes on)")
+        for name in names:
+            shutil.rmtree(out / name, ignore_errors=True)
+    options = ["--quick"] * arguments.quick + ["--full"] * arguments.full + ["--out", str(out)]
+    failed = run_all([name for name in names if name not in TIMED], options, out, arguments.workers)
+    failed |= run_all([name for name in names if name in TIMED], options, out, 1)
+    print(f"report: {report(names, out, arguments, failed)}")
+    return 1 if failed else 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
-                                     epilog="example: python studies/reproduce.py --quick --out /tmp/report")
-    parser.add_argument("studies", nargs="*", metavar="STUDY",
-                        help=f"some of: {', '.join(STUDIES)} (default: these), {', '.join(LARGE)} (with --full)")
+    lines = [f"  {name:24s}{seconds:4d} s  {question(name)}" for name, seconds in (STUDIES | TIMED | LARGE).items()]
+    parser = argparse.ArgumentParser(
+        description=__doc__.split("\n")[0], formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="studies, seconds on two cores (the last two with --full or by name):\n" + "\n".join(lines)
+               + "\n\nexample: python studies/reproduce.py --quick --out /tmp/report")
+    parser.add_argument("studies", nargs="*", metavar="STUDY", help="some of the studies below (default: all but the last)")
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true",
-                      help="smaller grids: a minute on two cores, once kernels are compiled")
-    size.add_argument("--full", action="store_true", help="beyond the paper: fine references, histories, campaigns")
-    parser.add_argument("--workers", type=_workers, default=cores(), metavar="N",
-                        help="processes that compute; 0 or 1: this one alone (default: one a core, here %(default)s)")
+    size.add_argument("--quick", action="store_true", help="smaller grids: a minute on two cores, once kernels are compiled")
+    size.add_argument("--full", action="store_true", help="larger grids and the benchmark: most of an hour")
+    parser.add_argument("--workers", type=int, choices=range(1, 65), default=min(len(os.sched_getaffinity(0)), 8), metavar="N",
+                        help="studies at a time (default: one a core, here %(default)s)")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
-                        help="where report.html, CSV files, pictures and the store go (default: results)")
-    parser.add_argument("--pictures", action="store_true", help="write the figures as PNG too")
+                        help="where report.html, CSV files, figures and stores go (default: results)")
     parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")
     return parser
 
 
-def _workers(text: str) -> int:
-    if not text.isascii() or not text.isdigit():
-        raise argparse.ArgumentTypeError(f"a whole number, 0 or more, not {text!r}")
-    return int(text)
+def question(name: str) -> str:
+    """The first line of a study's docstring."""
+    return (ast.get_docstring(ast.parse((HERE / f"{name}.py").read_text())) or name).split("\n")[0]
 
 
-def cores() -> int:
-    """That this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def say(text: str) -> None:
+    """Write a line on standard error."""
+    print(text, file=sys.stderr, flush=True)
 
 
-def report(context: Context, names: Sequence[str], workers: int, pictures: bool = False) -> list[str]:
-    """Run studies, show them as they are done, and write the report."""
-    begin, sections, drawn = time.perf_counter(), {}, {}
-
-    def done(name: str, section: Section, made: dict[str, Picture], seconds: float) -> None:
-        sections[name] = section
-        drawn.update(made)
-        with watching.printing():
-            show(section, context.out, pictures)
-        watching.study_ended(name, seconds)
-
-    watching = Watching(len(names))
-    if workers > 1:
-        print(f"{len(names)} studies on {workers} workers ...", file=sys.stderr, flush=True)
-        with watching:
-            failed = together.at_once(context, names, done, workers, watching.run_ended)
-    else:
-        failed = together.in_turn(context, names, done)
-    page = page_of({name: sections[name] for name in names}, context, drawn)
-    target = page.write(context.out / "report.html")
-    print(f"\nreport: {target}")
-    print(f"all done after {time.perf_counter() - begin:.0f} s", file=sys.stderr)
+def run_all(names: Sequence[str], options: Sequence[str], out: Path, workers: int) -> set[str]:
+    """Run studies, ``workers`` at a time, a line for each; return the names of those that failed."""
+    failed = set()
+    with ThreadPoolExecutor(max(workers, 1)) as pool:
+        runs = {pool.submit(run_one, name, options, out): name for name in names}
+        for done, run in enumerate(as_completed(runs), 1):
+            code, seconds, last = run.result()
+            say(f"[{done}/{len(names)}] {runs[run]}: {f'FAILED, {last}' if code else last} ({seconds:.0f} s)")
+            failed |= {runs[run]} if code else set()
     return failed
 
 
-def page_of(sections: Mapping[str, Section], context: Context, drawn: Mapping[str, Picture] | None = None) -> Report:
-    """The report of what studies returned, by their names: first screen, a section each, how it was made."""
-    from adaptmg.export import Report
+def run_one(name: str, options: Sequence[str], out: Path) -> tuple[int, float, str]:
+    """Run one study; return its exit code, seconds and last line, and keep what it printed in ``NAME/log.txt``."""
+    begin = time.perf_counter()
+    (out / name).mkdir(parents=True, exist_ok=True)
+    (out / name / "section.json").unlink(missing_ok=True)
+    log = out / name / "log.txt"
+    with log.open("w") as file:
+        code = subprocess.run([sys.executable, str(HERE / f"{name}.py"), *options], stdout=file,
+                              stderr=subprocess.STDOUT, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=False).returncode
+    lines = log.read_text().strip().splitlines() or ["nothing printed"]
+    return code, time.perf_counter() - begin, f"{lines[-1]} (see {log})" if code else lines[-1]
 
-    page = Report(TITLE, SUMMARY + " This is a quick run, on smaller grids." * context.quick, terms=TERMS)
-    for name, line in front.headlines(sections).items():
-        place = front.PLACES[name]
-        if isinstance(line, str):
-            page.card(place.title, line, to=place.study)
-        elif isinstance(line.item, Table):
-            page.card(place.title, line.text, to=place.study, table=line.item.frame, units=line.item.units,
-                      formats=line.item.formats)
-        else:
-            page.card(place.title, line.text, to=place.study, figure=line.item.figure)
-    for name, section in sections.items():
-        page.section(section.title, section.text, summary=section.summary, key=name)
-        for item in in_sight_first(section.items):
-            add(page, item, drawn or {})
-    seeds = "; ".join(f"{name}: {section.seeds}" for name, section in sections.items() if section.seeds)
-    page.made(commit=commit(), seeds=seeds or "no study of this run draws random numbers", command=" ".join(
-        ["python studies/reproduce.py", *["--quick"] * context.quick, *["--full"] * context.full,
-         *([] if tuple(sections) in (STUDIES, STUDIES + LARGE) else sections)]))
-    return page
+
+def report(names: Sequence[str], out: Path, arguments: argparse.Namespace, failed: set[str]) -> Path:
+    """Make the page of what the studies wrote."""
+    import pandas as pd
+
+    from adaptmg.export import Report
+    from adaptmg.export.report import Picture
+
+    page = Report(TITLE, " ".join(SUMMARY.split()) + " This is a quick run, on smaller grids." * arguments.quick,
+                  terms=TERMS)
+    for name in names:
+        file = out / name / "section.json"
+        section: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {
+            "title": question(name), "text": f"This study failed; {out / name / 'log.txt'} says why.", "items": []}
+        checks = [item["text"] for item in section["items"] if item["kind"] == "check"]
+        page.section(section["title"], section["text"], key=name,
+                     summary="Checked in this run: " + "; ".join(checks) + "." if checks else "")
+        for item in sorted(section["items"], key=lambda item: item["kind"] == "table" and not item["card"]):
+            if item["kind"] == "table":
+                frame = pd.read_csv(out / name / f"{item['name']}.csv")
+                words = {"units": item["units"], "formats": item["formats"]}
+                page.table(frame, item["caption"], item["note"], csv=f"{name}/{item['name']}.csv", **words)
+                if item["card"]:
+                    page.card(item["card"], item["note"], to=name, table=frame, **words)
+            elif item["kind"] == "figure":
+                picture = Picture(item["source"], item["caption"], item["width"])
+                page.figure(picture, item["caption"])
+                if item["card"]:
+                    page.card(item["card"], item["caption"], to=name, figure=picture)
+    page.made(commit=commit(), command=" ".join(["python studies/reproduce.py", *sys.argv[1:]]))
+    return page.write(out / "report.html")
 
 
 def commit() -> str:
-    """Of the source, and whether it was changed since; unknown outside a repository."""
+    """Return the commit of the source, with a mark where it was changed since; 'unknown' outside a repository."""
     try:
-        return subprocess.run(["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, check=True,
-                              capture_output=True, text=True, timeout=10).stdout.strip() or "unknown"
+        return subprocess.run(["git", "describe", "--always", "--dirty"], cwd=HERE, check=True, capture_output=True,
+                              text=True, timeout=10).stdout.strip() or "unknown"
     except (OSError, subprocess.SubprocessError):
         return "unknown"
 
 
-def in_sight_first(items: Sequence[Table | Figure]) -> list[Table | Figure]:
-    """Tables that stand open, then the figures side by side, then the tables that are folded."""
-    tables = [item for item in items if isinstance(item, Table)]
-    opened = [item for item in tables if item.open] or [item for item in tables[:1] if item.open is None]
-    figures = [item for item in items if isinstance(item, Figure)]
-    return [*opened, *figures, *(item for item in tables if not any(item is one for one in opened))]
-
-
-def add(page: Report, item: Table | Figure, drawn: Mapping[str, Picture]) -> None:
-    """A table or figure of a section."""
-    if isinstance(item, Table):
-        page.table(item.frame, caption=item.caption, note=item.note, units=item.units, formats=item.formats,
-                   open=item.open, csv=f"{item.name}.csv")
-    else:
-        page.figure(drawn.get(item.name, item.figure), caption=item.caption)
-
-
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

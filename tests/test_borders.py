@@ -1,7 +1,5 @@
 """What the checks of arguments let pass, and what they make of it: no sound problem is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

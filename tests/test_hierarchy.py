@@ -153,3 +153,41 @@ def test_indices_that_kernels_follow_cannot_be_written(problem):
                 with pytest.raises(ValueError, match="read-only"):
                     array[0] = 2**30
     given[-1].indices[0] = 0
+
+
+def _same_levels(a: am.Hierarchy, b: am.Hierarchy) -> None:
+    for one, two in zip(a.levels, b.levels, strict=True):
+        matrices = [(level.matrix, level.prolongation, level.surface_prolongation) for level in (one, two)]
+        for x, y in zip(*matrices, strict=True):
+            assert (x is None) == (y is None)
+            for part in () if x is None else ("indptr", "indices", "data"):
+                np.testing.assert_array_equal(getattr(x, part), getattr(y, part))
+        n = len(one.discrete.contact)
+        np.testing.assert_array_equal(one.discrete.law.bounds(n), two.discrete.law.bounds(n))
+        for name in ("load", "fixed", "fixed_values"):
+            np.testing.assert_array_equal(getattr(one.discrete, name), getattr(two.discrete, name))
+        for name in ("nodes", "normals", "gaps", "weights", "boundary", "slip_reference"):
+            np.testing.assert_array_equal(getattr(one.discrete.contact, name), getattr(two.discrete.contact, name))
+
+
+def test_another_problem_on_the_same_meshes_is_what_building_anew_makes():
+    bar = am.cases.greco_bar
+    springs = [am.Symmetry("left"), am.Spring("right", normal=1e9)]
+    joint = am.cases.dovetail()
+    stiffer = {name: am.PlaneStrain(young=3e11, poisson=0.3) for name in joint.bodies}
+    for first, others in ((bar(), (bar(law=am.Coulomb(0.2)), bar(top_pressure=1e7), bar(young=1e11),
+                                   replace(bar(), supports=springs), replace(bar(), law=am.Frictionless()))),
+                          (joint, (replace(joint, law=am.Coulomb(0.7)), replace(joint, law=am.Frictionless()),
+                                   replace(joint, material=stiffer)))):
+        old = am.Hierarchy.graded(first, (first.domain.upper.max() / 4, first.domain.upper.max() / 8))
+        for k, other in enumerate(others):
+            new = old.with_problem(other)
+            _same_levels(new, am.Hierarchy.from_meshes(other, [level.mesh for level in old.levels]))
+            assert new.problem is other and new.finest.prolongation is old.finest.prolongation
+            assert k > 0 or new.finest.matrix is old.finest.matrix
+    with pytest.raises(ValueError, match="another domain, Rectangle"):
+        old.with_problem(bar())
+    with pytest.raises(ValueError, match=r"contact on .*, but these meshes were made for contact on"):
+        old.with_problem(replace(joint, contact=am.Contact(joint.contact_boundaries[0], am.Plane((0, 0), (0, 1)))))
+    with pytest.raises(ValueError, match=r"with_problem: these levels .* are not made of meshes"):
+        am.Hierarchy.single(old.finest.discrete).with_problem(joint)

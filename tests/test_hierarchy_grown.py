@@ -1,7 +1,5 @@
 """Hierarchies that grow and shrink are those that would have been made at once, and nothing is made twice."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings

@@ -1,13 +1,16 @@
 """The package as it is installed and as it lies in the repository; .ci/run installs it and calls its command."""
 
-from __future__ import annotations
-
+import doctest
+import inspect
+import io
+import pydoc
 import re
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 import stub
 
@@ -48,12 +51,11 @@ def test_no_file_names_a_package_index_or_a_path_of_a_machine():
 
 
 def test_public_names_resolve_and_are_documented():
-    for name in set(adaptmg.__all__) - {"__version__", "OPEN", "SLIP", "STICK"}:
+    for name in set(dir(adaptmg)) - {"__version__", "OPEN", "SLIP", "STICK"}:
         text = getattr(adaptmg, name).__doc__ or ""
         assert len(text) > 10 and not text.startswith(f"{name}("), name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = adaptmg.nothing
-    assert set(adaptmg.__all__) <= set(dir(adaptmg))
 
 
 @pytest.mark.parametrize(("modules", "heavy"), [
@@ -68,3 +70,48 @@ def test_importing_is_light(modules, heavy):
 def test_python_without_docstrings_is_refused_by_name():
     run = subprocess.run([sys.executable, "-OO", "-c", "import adaptmg"], capture_output=True, text=True)
     assert run.stderr.splitlines()[-1].startswith("ImportError: adaptmg cannot run under 'python -OO'")
+
+
+def _public() -> dict[str, object]:
+    """Public names with what they stand for: those of the package, and those of the submodules that users name."""
+    names = {name: getattr(adaptmg, name) for name in dir(adaptmg) if name != "__version__"}
+    for module in ("cases", "export", "mesh", "plot", "study"):
+        names |= {f"{module}.{name}": getattr(getattr(adaptmg, module), name)
+                  for name in getattr(adaptmg, module).__all__}
+    return {name: thing for name, thing in names.items() if inspect.isclass(thing) or inspect.isfunction(thing)}
+
+
+#: need a file, a solved case or a machine's processes that no short example has
+WITHOUT_EXAMPLE = {
+    "cases.TransitionField", "cases.bolt_force", "cases.flat_punch_meshes", "cases.joint_opening",
+    "cases.line_contact_meshes", "cases.open_to", "cases.pressure_fit", "cases.sealing_pressure", "mesh.coarsen",
+    "mesh.from_gmsh", "mesh.from_step", "mesh.onto_domain", "mesh.step_names", "mesh.to_ngsolve", "mesh.with_source",
+    "study.local_cluster"}
+
+
+def test_every_public_name_has_an_example_that_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner(verbose=False)
+    without, report = set(), io.StringIO()
+    for name, thing in _public().items():
+        globs = vars(sys.modules[thing.__module__]) | {"am": adaptmg, "np": np}
+        (found,) = finder.find(thing, name, globs=globs) or (None,)
+        if found is None or not found.examples:
+            without.add(name)
+        else:
+            runner.run(found, out=report.write)
+    assert not runner.failures, report.getvalue()
+    assert without == WITHOUT_EXAMPLE
+
+
+def test_modules_list_their_names():
+    for name in set(adaptmg._SUBMODULES) - {"solver"}:
+        module = getattr(adaptmg, name)
+        listed = [entry for entry in dir(module) if not entry.startswith("_")]
+        assert set(listed) == set(module.__all__), name
+        assert all(hasattr(module, entry) for entry in listed)
+    # the names of the package by task, on three screens
+    text = pydoc.plain(pydoc.render_doc(adaptmg))
+    head = text[:text.index("\nPACKAGE CONTENTS")] if "\nPACKAGE CONTENTS" in text else text
+    missing = {name for name in dir(adaptmg) if not name.startswith("_") and not re.search(rf"\b{name}\b", head)}
+    assert not missing and len(text.splitlines()) <= 75, (missing, len(text.splitlines()))

@@ -40,7 +40,13 @@ __all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointConta
 
 @dataclass(frozen=True)
 class Case:
-    """A benchmark case: a function with defaults for all arguments, and its description in one line."""
+    """A benchmark case: a function with defaults for all arguments, and its description in one line.
+
+    Examples
+    --------
+    >>> am.cases.CASES["dovetail"].function().name
+    'dovetail'
+    """
 
     function: Callable[..., ContactProblem]
     description: str
@@ -65,7 +71,13 @@ CASES: Mapping[str, Case] = MappingProxyType({
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of all cases."""
+    """Return the names of all cases.
+
+    Examples
+    --------
+    >>> "dovetail" in am.cases.names()
+    True
+    """
     return tuple(CASES)
 
 
@@ -79,3 +91,7 @@ def get(name: str) -> Case:
         raise ValueError(f"there is no case {name!r}{checks.suggestion(str(name), CASES)}; the cases are "
                          f"{', '.join(CASES)}")
     return CASES[name]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -74,6 +74,11 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
         Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons,
         or their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the
         tangential one) on the interface, Pa, which the law must bear. For meshes see :func:`patch_mesh`.
+
+    Examples
+    --------
+    >>> len(am.cases.two_block_patch().domain.bodies)
+    2
     """
     checks.choice("dim", dim, (2, 3))
     slope, size = checks.nonnegative("slope", slope), checks.quantity("size", size, positive=True)
@@ -149,6 +154,12 @@ def patch_mesh(problem: ContactProblem, cells: int = 4, *, matching: bool = Fals
     """Return a mesh of :func:`two_block_patch` with ``cells`` >= 1 along the width of the upper block.
 
     With ``matching``, for flat blocks only, the nodes of both blocks meet on the interface.
+
+    Examples
+    --------
+    >>> problem = am.cases.two_block_patch()
+    >>> am.cases.patch_mesh(problem, 2).dim
+    2
     """
     from adaptmg.mesh import graded, structured
 
@@ -193,6 +204,11 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
         Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t`` (resultants
         normal to the slab and along it, N/m) and, with a constant coefficient of friction, ``holds``: where it is
         False, :func:`adaptmg.solve` refuses the problem.
+
+    Examples
+    --------
+    >>> am.cases.incline().domain.bodies
+    ('block', 'slab')
     """
     angle = checks.nonnegative("angle", angle)
     width, height = checks.quantity("width", width, positive=True), checks.quantity("height", height, positive=True)
@@ -248,6 +264,11 @@ def leaning_strut(*, law: Law = Coulomb(0.6), angle: float = 20.0, traction: flo
         Size (Pa) and direction (rad, from x to y) of the load on the right side.
     young, poisson : float
         Pa, and a number.
+
+    Examples
+    --------
+    >>> am.cases.leaning_strut().dim
+    2
     """
     angle = checks.positive("angle", angle)
     if not angle < 45:

@@ -107,6 +107,11 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
         contact pair is the joint. ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N);
         with the default parameters in 2D also ``values`` by mesh convergence: ``open_to``, ``slip_to``, ``peak_at``
         (radii, m), ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N; of the ring).
+
+    Examples
+    --------
+    >>> am.cases.bolted_junction().domain.bodies
+    ('upper', 'lower', 'bolt')
     """
     checks.choice("dim", dim, (2, 3))
     bolts = ("ring", "traction") if dim == 2 else ("solid",)
@@ -226,7 +231,13 @@ _CLAMPED = {2: 0.0341, 3: 0.0124}
 
 @dataclass(frozen=True, kw_only=True)
 class Flanges:
-    """Dimensions of the junction, m. Heads are 1.6 times as wide and 0.7 times as high as bolts, holes 1.1 times."""
+    """Dimensions of the junction, m. Heads are 1.6 times as wide and 0.7 times as high as bolts, holes 1.1 times.
+
+    Examples
+    --------
+    >>> am.cases.Flanges(n_bolts=12).n_bolts
+    12
+    """
 
     bore: float = 0.200  # inner radius of the vessels
     wall: float = 0.012  # thickness of their walls
@@ -370,7 +381,7 @@ _CIRCLE = 1e-6
 def junction_path(problem: ContactProblem, pressures: Sequence[float]) -> LoadPath:
     """Return the load history: the bolts are tightened in the first step, then follow internal ``pressures`` (Pa).
 
-    >>> am.solve_path(grids, am.cases.junction_path(problem, [1e6, 2e6, 4e6]))
+    >>> path = am.cases.junction_path(am.cases.bolted_junction(), [1e6, 2e6, 4e6])      # for am.solve_path
     """
     full = problem.reference.get("pressure") if isinstance(problem, ContactProblem) else None
     if full is None:

@@ -42,7 +42,15 @@ __all__ = ["PartialSlip", "cattaneo", "cattaneo_path"]
 
 @dataclass(frozen=True, kw_only=True)
 class PartialSlip:
-    """The closed form of Cattaneo."""
+    """The closed form of Cattaneo.
+
+    Examples
+    --------
+    >>> line = am.cases.LineContact(load=1e5, radius=0.05, modulus=1.15e11)
+    >>> slip = am.cases.PartialSlip(normal=line, friction=0.3, tangential=1.5e4)
+    >>> slip.friction
+    0.3
+    """
 
     normal: LineContact  # the normal contact
     friction: float  # coefficient, > 0
@@ -96,6 +104,11 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
     Solved in one step under both loads the answer is the same to rounding as along :func:`cattaneo_path`: the slip
     under the normal load alone continues under the tangential one. Bodies of finite size are strained along the surface
     by stresses of the order of P/R, a / (mu R) of the largest traction, which moves the strip that sticks.
+
+    Examples
+    --------
+    >>> am.cases.cattaneo(tangential=1e4).dim
+    2
     """
     radius = checks.quantity("radius", radius, positive=True)
     material = PlaneStrain(young=young, poisson=poisson)
@@ -118,7 +131,13 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
 
 
 def cattaneo_path(steps: int = 1) -> LoadPath:
-    """Return the load history: P in one step, then Q in ``steps`` equal steps."""
+    """Return the load history: P in one step, then Q in ``steps`` equal steps.
+
+    Examples
+    --------
+    >>> len(am.cases.cattaneo_path(3)) > 3
+    True
+    """
     steps = checks.integer("steps", steps, 1)
     return LoadPath({"lower.bottom": 1.0, "upper.top": np.arange(steps + 1) / steps})
 

@@ -58,6 +58,11 @@ def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign:
     ContactProblem
         ``reference`` holds ``field`` (:class:`TransitionField`), ``exponent``, ``transition`` (0.0, m) and
         ``uniform_rate`` (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).
+
+    Examples
+    --------
+    >>> am.cases.coulomb_transition().dim
+    2
     """
     checks.choice("kind", kind, ("open", "stick"))
     checks.choice("sign", sign, ("+", "-"))

@@ -74,6 +74,11 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
         Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name ->
         position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state -> ranges of depth
         below the mouth, m), ``tolerances`` of both (m), ``sources`` and ``remark``; otherwise only ``remark``.
+
+    Examples
+    --------
+    >>> am.cases.dovetail().domain.bodies
+    ('tongue', 'block')
     """
     parameters = {"angle": angle, "clearance": clearance, "pull": pull, "clamp": clamp, "young": young,
                   "poisson": poisson}

@@ -45,7 +45,13 @@ _SIZE = 40.0
 
 @dataclass(frozen=True, kw_only=True)
 class PunchPressure:
-    """The pressure P / (pi sqrt(a^2 - x^2)) under a flat rigid punch."""
+    """The pressure P / (pi sqrt(a^2 - x^2)) under a flat rigid punch.
+
+    Examples
+    --------
+    >>> am.cases.PunchPressure(load=1e5, half_width=0.01).half_width
+    0.01
+    """
 
     load: float  # P, N/m
     half_width: float  # a, m
@@ -75,6 +81,11 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
     ContactProblem
         ``reference`` holds, without friction, ``pressure`` (:class:`PunchPressure`, of x in m), ``exponent`` (of the
         singularity at the edge) and ``sources``. For meshes see :func:`flat_punch_meshes`.
+
+    Examples
+    --------
+    >>> am.cases.flat_punch().dim
+    2
     """
     a, load = checks.quantity("half_width", half_width, positive=True), checks.quantity("load", load, positive=True)
     reference = {}

@@ -73,6 +73,11 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
         ``reference`` holds ``quantity``, ``points`` (name -> position, m), ``values`` (source -> point -> m),
         ``sources``, ``remark`` and ``zones`` (state -> range of x, m) for the default parameters, without friction for
         all with ``top_pressure`` > 0; otherwise it is empty.
+
+    Examples
+    --------
+    >>> am.cases.greco_bar(law=am.Coulomb(0.5)).law.friction
+    0.5
     """
     parameters = {"top_pressure": top_pressure, "side_pressure": side_pressure, "young": young, "poisson": poisson,
                   "size": size}
@@ -123,6 +128,11 @@ def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pres
         Length along y, m.
     plane_strain : bool
         Fix u_y on front and back (True), where ``reference`` holds the values of the plane bar, or on the front only.
+
+    Examples
+    --------
+    >>> am.cases.greco_block().dim
+    3
     """
     checks.flag("plane_strain", plane_strain)
     depth = checks.quantity("depth", depth, positive=True)
@@ -174,6 +184,11 @@ def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pres
     -------
     ContactProblem
         By default ``reference["touching"]`` is the number of touching nodes, by divisions of the uniform mesh.
+
+    Examples
+    --------
+    >>> am.cases.curved_obstacle().dim
+    2
     """
     bar = greco_bar(law=law, top_pressure=top_pressure, side_pressure=side_pressure, young=young, poisson=poisson,
                     size=size)
@@ -207,6 +222,11 @@ def upset_block(*, law: Law = Coulomb(0.5), top_pressure: float = 5e7, young: fl
     ContactProblem
         ``reference`` holds, for friction 0.5 and Poisson's ratio 0.2 or 0.3, ``exponent`` (lambda) and
         ``uniform_rate``: the energy error falls like N^-uniform_rate on uniform meshes of N nodes.
+
+    Examples
+    --------
+    >>> am.cases.upset_block().dim
+    2
     """
     problem = greco_bar(law=law, top_pressure=top_pressure, side_pressure=0.0, young=young, poisson=poisson, size=size)
     exponent = _EXPONENTS.get(poisson)

@@ -101,7 +101,14 @@ class HertzContact(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class LineContact(HertzContact):
-    """The closed form of Hertz for line contact; ``load`` in N/m."""
+    """The closed form of Hertz for line contact; ``load`` in N/m.
+
+    Examples
+    --------
+    >>> line = am.cases.LineContact(load=1e5, radius=0.05, modulus=1.15e11)
+    >>> round(1e3 * line.half_width, 3)                               # mm
+    0.235
+    """
 
     words: ClassVar[tuple[str, str]] = ("half-width", "half-planes")
 
@@ -118,7 +125,14 @@ class LineContact(HertzContact):
 
 @dataclass(frozen=True, kw_only=True)
 class PointContact(HertzContact):
-    """The closed form of Hertz for point contact; ``load`` in N."""
+    """The closed form of Hertz for point contact; ``load`` in N.
+
+    Examples
+    --------
+    >>> point = am.cases.PointContact(load=100.0, radius=0.01, modulus=1.15e11)
+    >>> point.radius
+    0.01
+    """
 
     words: ClassVar[tuple[str, str]] = ("radius of contact", "half-spaces")
 
@@ -165,6 +179,11 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
         Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``half_width`` (m), ``peak``
         (Pa), ``closed_form`` (:class:`LineContact`), ``sources`` and ``remark``. For meshes see
         :func:`line_contact_meshes`.
+
+    Examples
+    --------
+    >>> am.cases.hertz_cylinder().dim
+    2
     """
     radius, lower_radius = _radii(radius, lower_radius)
     material = PlaneStrain(young=young, poisson=poisson)
@@ -195,6 +214,11 @@ def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.
     Notes
     -----
     ``reference`` is that of :func:`hertz_cylinder` with a :class:`PointContact`, and ``approach`` (m).
+
+    Examples
+    --------
+    >>> am.cases.hertz_sphere().axisymmetric
+    True
     """
     checks.choice("dim", dim, (2, 3))
     radius, lower_radius = _radii(radius, lower_radius)

@@ -1,5 +1,5 @@
 """The command ``adaptmg``: ``cases``, ``solve``, ``adapt``, ``study FILE.toml``, ``runs STORE``, ``report STORE``."""
 
-from adaptmg.cli.commands import app, main
+from adaptmg.cli.commands import main
 
-__all__ = ["app", "main"]
+__all__ = ["main"]

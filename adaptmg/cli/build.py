@@ -3,16 +3,16 @@
 The keys are the arguments of the classes and functions: fields of the option classes, arguments of cases and of the
 constructors of :class:`adaptmg.Hierarchy`. An object is chosen by the name of its class (``correction = "monotone"``),
 and its fields stand next to it (``pre`` of the cycle, ``friction`` of the law); those of solvers inside a method are
-written with a point (``coarse.rtol``). Defaults, checks and explanations are those of the classes. The command line
-uses the same.
+written with a point (``coarse.rtol``). Defaults, checks and explanations are those of the classes. They are the keys of
+study files and the options of the command line.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
 import re
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -25,13 +25,15 @@ import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg.cases import get
 from adaptmg.estimate.step import Limits
+from adaptmg.mesh.grading import measures
 from adaptmg.problem.load_path import names_in_path
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.solver.record import Solver
 from adaptmg.study.record import Value
 
-__all__ = ["DIVISIONS", "METHODS", "OBJECTS", "Key", "Settings", "WrongSetting", "adaptation", "arguments_of", "check",
-           "given_arguments", "grids", "keys_of", "load_path", "name_of", "problem_of", "section", "solver_of"]
+__all__ = ["METHODS", "OBJECTS", "PURPOSE", "SETTINGS", "Key", "Settings", "WrongSetting", "adaptation", "case_keys",
+           "check", "from_texts", "grids", "keys_of", "load_path", "name_of", "problem_of", "section", "sections",
+           "sensible_grids", "setting", "solver_of"]
 
 Settings = Mapping[str, Value]
 #: keyword arguments of a class or function, and what makes an object or a problem from them
@@ -48,7 +50,25 @@ OBJECTS: dict[str, tuple[type, ...]] = {
     "indicator": (am.Residual, am.Recovery, am.Goal), "mark": (am.Doerfler, am.Maximum),
     "engine": (am.Remesh, am.Bisect),
     "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening)}
-DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
+#: sections whose keys are settings of a run
+SETTINGS = ("case", "hierarchy", "solver", "adapt", "load_path")
+#: purposes of the sections of a study file
+PURPOSE = {
+    "case": "the problem: its name, its law, and its arguments, see 'adaptmg cases NAME'",
+    "hierarchy": "grids; without it those that follow the size of the bodies and of the contact boundaries",
+    "solver": "method; without it full multigrid, truncated, to 1e-8",
+    "adapt": "instead of [hierarchy]: meshes that follow the error, until one of the limits",
+    "load_path": "load steps: factors by boundary or body, NAME = [0.5, 1.0], one a step",
+    "measure": "columns of the table next to the outcome; it may be empty",
+    "run": "how runs are computed",
+    "design": "which points",
+    "vary": "settings and their values, \"solver.pre\" = [1, 2, 4]; samples: their ranges [low, high]",
+}
+#: grids of rectangles and boxes; elements across other bodies, and along a contact boundary of the finest mesh
+_DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
+_ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, {2: 64, 3: 12}
+#: nodes of an adaptive loop of the command line without a limit
+_NODES = 3000
 #: arguments that settings cannot give
 _APART = ("self", "problem", "store", "depends", "progress", "scheduler", "solver", "load_path", "coarse_solve",
           "coarse_smoother", "flanges")
@@ -132,7 +152,7 @@ def keys_of(function: Maker) -> dict[str, Key]:
         default = _default_class(name, item, kinds)
         if kinds[1:]:
             lines = {choice: (inspect.getdoc(choice) or "").splitlines()[0] for choice in kinds}
-            about = "; ".join(f"{name_of(choice)}: {_plain(line).rstrip('.')}" for choice, line in lines.items())
+            about = "; ".join(f"{name_of(choice)}: {_unmarked(line).rstrip('.')}" for choice, line in lines.items())
             found[name] = Key(" | ".join(map(name_of, kinds)), about, f'"{name_of(default)}"' if default else "")
         elif not kinds:
             annotation = str(item.annotation).removesuffix(" | None")
@@ -190,10 +210,10 @@ def _first_sentence(name: str, text: str) -> str:
         return _documented(get(refers[1]).function)[name][1]
     known = {"young": "Young's modulus, Pa", "poisson": "Poisson's ratio"}
     text = text.replace("Pa, and a number", known.get(name, "Pa, and a number"))
-    return re.split(r"(?<=[^.])\.\s+(?=[A-Z])", _plain(text))[0].rstrip(".")
+    return re.split(r"(?<=[^.])\.\s+(?=[A-Z])", _unmarked(text))[0].rstrip(".")
 
 
-def _plain(text: str) -> str:
+def _unmarked(text: str) -> str:
     """Text without the markup of docstrings."""
     return re.sub(r":\w+:`~?([^`]*)`", r"\1", text).replace("`", "").strip()
 
@@ -250,9 +270,7 @@ def _check_used(given: Settings, before: str, what: str, known: Mapping[str, Key
         owners = [f"{before}{name} {name_of(kind)}" for name, kinds in OBJECTS.items() for kind in kinds
                   if name in known and key in _parameters(kind)] or [
                   name_of(kind) for kind in others if key in keys_of(kind)]
-        # options of the command line have hyphens
-        shown = key.replace("_", "-") if before == "--" else key
-        raise ValueError(f"{before}{shown} has no meaning for {what}" + (
+        raise ValueError(f"{before}{key} has no meaning for {what}" + (
             f": it belongs to {' or '.join(owners)}" if owners else f"; it takes {', '.join(known)}"))
 
 
@@ -270,7 +288,7 @@ def check(settings: Settings) -> None:
     """Make problem, path, method and arguments without meshing; WrongSetting for settings that are refused."""
     def hierarchy(given: Arguments) -> None:
         if not section(settings, "adapt"):
-            _check_grids(task, *_grid_arguments(task, given, "hierarchy."))
+            _check_grids(task, _grid_arguments(task, given)[1])
         elif given:
             raise ValueError("give [hierarchy] or [adapt], not both: adaptation makes its own meshes")
 
@@ -296,33 +314,99 @@ def _in_section(name: str, settings: Settings, make: Maker) -> Any:
         raise WrongSetting(error, name) from error
 
 
-def problem_of(given: Arguments, before: str = "case.") -> am.ContactProblem:
+def problem_of(given: Arguments) -> am.ContactProblem:
     """Return the problem of a case with its arguments; friction or limit alone choose the law."""
     name = given.pop("case")
     function = get(name).function
     if "law" not in given and "law" in _parameters(function) and {"friction", "limit"} & set(given):
         given["law"] = "coulomb" if "friction" in given else "tresca"
-    return _made(function, given, before, f"the case {name}")
+    return _made(function, given, "case.", f"the case {name}")
 
 
-def given_arguments(case: str, texts: Sequence[str]) -> Arguments:
-    """Return the arguments of a case that the command line gives as NAME=VALUE."""
-    known, found = keys_of(get(case).function), {}
-    laws = {"case", "law", *(key for kind in OBJECTS["law"] for key in keys_of(kind))}
-    for text in texts:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or not value:
-            raise ValueError(f"--set must be NAME=VALUE, got {checks.shown(text)}")
-        if name in laws:
-            raise ValueError(f"--set {name}: that is an option of its own")
-        if name not in known:
-            raise ValueError(f"the case {case} takes no {name!r}{checks.suggestion(name, known)}; it takes "
-                             f"{', '.join(key for key in known if key not in laws)}")
-        try:
-            found[name] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            found[name] = value
+@cache
+def sections() -> dict[str, dict[str, Key]]:
+    """Return all sections with their keys; of [case] those of all cases."""
+    samples, run = keys_of(am.study.Random), keys_of(am.Study.run)
+    return {
+        "case": {"case": Key("name", "the problem, see 'adaptmg cases'"),
+                 "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "contact law", "that of the case"),
+                 **{key: value for kind in OBJECTS["law"] for key, value in keys_of(kind).items()}},
+        "hierarchy": {**keys_of(am.Hierarchy.uniform), **keys_of(am.Hierarchy.graded),
+                      "levels": Key("int", "How often the elements at contact of a single grid are bisected")},
+        "solver": {"method": Key(" | ".join(map(name_of, METHODS)), "the solver", f'"{name_of(METHODS[0])}"'),
+                   **{name: key for kind in reversed(METHODS) for name, key in keys_of(kind).items()}},
+        "adapt": keys_of(am.adapt),
+        "load_path": {"default": keys_of(am.LoadPath)["default"]},
+        "measure": {"columns": Key("list of names", "measures in the table", "cycles, work_units, residual, nodes"),
+                    "forces_on": Key("list of names", "boundaries: resultant force on each, columns 'force_x(NAME)'"),
+                    "points": Key("{NAME = [x, y]}, m", "displacement at named points, columns 'NAME.x', m"),
+                    "keep": Key("bool", "keep the result of the last step in the folder STORE.files", "false")},
+        "run": {name: run[name] for name in ("workers", "limit_s", "memory_limit", "cost")},
+        "design": {"kind": Key("grid | zip | random | latin-hypercube | sobol", "every combination of values; lists "
+                               "side by side; samples of ranges [low, high]", '"grid"'),
+                   **{name: samples[name] for name in ("runs", "seed")},
+                   "log": Key("list of names", "Settings that are sampled on a logarithmic scale"),
+                   "repeats": Key("int", "How often each point is run: a parameter 'repeat' counts them", "1")},
+        "vary": {}}
+
+
+def case_keys(name: str) -> dict[str, Key]:
+    """Return the keys of [case] for a case."""
+    return {"case": sections()["case"]["case"], **keys_of(get(name).function)}
+
+
+def setting(known: Mapping[str, Mapping[str, Key]], name: str, value: object, place: str) -> Value:
+    """Return the value of a setting as a parameter; whole numbers are floats where an argument is one."""
+    part, _, key = name.partition(".")
+    keys = known[part]
+    # values by name, such as measure.points.A, have a key after the argument
+    head = keys.get(key.partition(".")[0])
+    by_name = "." in key and head is not None and ("mapping" in head.values or "{" in head.values)
+    if not (key in keys or by_name or (part == "load_path" and key)):
+        command = "cases NAME" if part == "case" else "study --keys"
+        raise WrongSetting(f"[{part}] has no key {key!r}{checks.suggestion(key, keys)}: 'adaptmg {command}' lists the "
+                           "keys", place)
+    plain = _plain(name, value, place)
+    whole = type(plain) is int and key in keys and keys[key].real
+    return float(plain) if whole and abs(plain) < 1e300 else plain
+
+
+def _plain(name: str, value: object, place: str) -> Value:
+    """Return a value that can be a parameter; lists become tuples."""
+    if isinstance(value, list | tuple):
+        return tuple(_plain(f"{name}[{k}]", item, place) for k, item in enumerate(value))
+    if isinstance(value, bool | int | float | str):
+        return value
+    raise WrongSetting(f"{name} must be a number, text, true, false, or a list of those, got {checks.shown(value)}",
+                       place)
+
+
+def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Value]:
+    """Return the settings that the options of a command give as texts, checked; lists have commas."""
+    get(case)
+    known, found = sections() | {"case": case_keys(case) | sections()["case"]}, {"case.case": case}
+    for name, text in texts.items():
+        part, _, key = name.partition(".")
+        value = _value_of(text)
+        listed = key in known[part] and known[part][key].values.startswith(("sequence", "list"))
+        found[name] = setting(known, name, (value,) if listed and not isinstance(value, tuple) else value, name)
+    if adaptive and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(found):
+        found["adapt.max_nodes"] = _NODES
+    check(found)
     return found
+
+
+def _value_of(text: str) -> object:
+    if "," in text:
+        return tuple(_value_of(part.strip()) for part in text.split(","))
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
 
 
 def load_path(settings: Settings) -> am.LoadPath | None:
@@ -340,13 +424,13 @@ def _check_path(task: am.ContactProblem, path: am.LoadPath | None) -> None:
                              f"loads on {', '.join(known)}")
 
 
-def solver_of(given: Arguments, before: str = "solver.", method: str = "solver.method") -> Solver:
+def solver_of(given: Arguments) -> Solver:
     """Return the method; ``max_cycles`` stands for the limit of each."""
     name = given.pop("method", name_of(am.FullMultigrid))
-    kind = _class_of(method, name, METHODS)
+    kind = _class_of("solver.method", name, METHODS)
     if "max_cycles" in given:
         given[next(key for key in _parameters(kind) if key.startswith("max_"))] = given.pop("max_cycles")
-    return _made(kind, given, before, f"{method} {name}", METHODS)
+    return _made(kind, given, "solver.", f"solver.method {name}", METHODS)
 
 
 def adaptation(settings: Settings) -> Arguments:
@@ -369,37 +453,53 @@ def _check_measures(task: am.ContactProblem, given: Settings) -> None:
                              f"are {', '.join(known)}")
 
 
-def grids(task: am.ContactProblem, given: Arguments, before: str = "hierarchy.") -> am.Hierarchy:
+def sensible_grids(task: am.ContactProblem) -> Arguments:
+    """Return the arguments of a hierarchy for a problem: they follow the size of bodies and of contact boundaries."""
+    if _are_blocks(task):
+        return {"divisions": _DIVISIONS[task.dim]}
+    volumes, lengths = measures(task.domain)
+    across = (sum(volumes) / len(volumes))**(1 / task.dim)
+    sizes = tuple(float(f"{across / count:.2g}") for count in _ACROSS[task.dim])
+    shortest = min((lengths[name] for name in task.pair_boundaries if name in lengths), default=math.inf)
+    return {"sizes": sizes, "contact_ratio": max(1.0, float(math.ceil(_ALONG[task.dim] * sizes[-1] / shortest)))}
+
+
+def grids(task: am.ContactProblem, given: Arguments) -> am.Hierarchy:
     """Return uniform grids, independent ones where sizes are given, or one of either bisected at contact."""
-    constructor, arguments, levels = _grid_arguments(task, given, before)
+    constructor, arguments, levels = _grid_arguments(task, given)
     found = constructor(task, **arguments)
     return found if levels is None else am.Hierarchy.bisected(task, found.levels[0].mesh, levels)
 
 
-def _grid_arguments(task: am.ContactProblem, given: Arguments, before: str
+def _grid_arguments(task: am.ContactProblem, given: Arguments
                     ) -> tuple[Callable[..., am.Hierarchy], Arguments, int | None]:
     """The constructor of a hierarchy with its arguments, and how often the mesh is bisected."""
-    sized, levels = any(re.match(r"sizes\b", key) for key in given), given.pop("levels", None)
-    if sized and any(re.match(r"divisions\b", key) for key in given):
-        raise ValueError(f"give {before}divisions or {before}sizes, not both")
-    constructor = am.Hierarchy.graded if sized else am.Hierarchy.uniform
-    if not any(key.startswith("divisions") for key in given) and not sized:
-        given["divisions"] = DIVISIONS[task.dim]
-    what = f"{before}sizes" if sized else f"uniform grids (without {before}sizes)"
-    arguments = arguments_of(constructor, given, before, what)
-    _check_used(given, before, what, keys_of(constructor))
+    sized, divided = (any(key.split(".")[0] == name for key in given) for name in ("sizes", "divisions"))
+    if sized and divided:
+        raise ValueError("give hierarchy.divisions or hierarchy.sizes, not both")
+    if not (sized or divided):
+        given = sensible_grids(task) | given
+        sized = "sizes" in given
+    levels, constructor = given.pop("levels", None), am.Hierarchy.graded if sized else am.Hierarchy.uniform
+    what = "hierarchy.sizes" if sized else "uniform grids (without hierarchy.sizes)"
+    arguments = arguments_of(constructor, given, "hierarchy.", what)
+    _check_used(given, "hierarchy.", what, keys_of(constructor))
     count = len(np.atleast_1d(np.asarray(arguments["sizes" if sized else "divisions"], dtype=object)))
-    if levels is not None and (checks.integer(f"{before}levels", levels, 1, 30), count)[1] != 1:
-        raise ValueError(f"{before}levels bisect one grid: give {before}divisions = [8] or {before}sizes = [5e-3], "
-                         f"got {count} grids")
+    if levels is not None and (checks.integer("hierarchy.levels", levels, 1, 30), count)[1] != 1:
+        raise ValueError("hierarchy.levels bisect one grid: give hierarchy.divisions = [8] or hierarchy.sizes = "
+                         f"[5e-3], got {count} grids")
     if levels is not None and "transfer" in arguments:
-        raise ValueError(f"{before}transfer belongs to meshes that are not nested; those of {before}levels are")
+        raise ValueError("hierarchy.transfer belongs to meshes that are not nested; those of hierarchy.levels are")
     return constructor, arguments, levels
 
 
 def _parts(task: am.ContactProblem) -> dict[str, Domain]:
     """Domains by name of body; of a single one the name is empty."""
     return getattr(task.domain, "parts", {"": task.domain})
+
+
+def _are_blocks(task: am.ContactProblem) -> bool:
+    return all(isinstance(part, am.Rectangle | am.Box) for part in _parts(task).values())
 
 
 def _check_size(name: str, size: float, part: Domain) -> None:
@@ -410,36 +510,35 @@ def _check_size(name: str, size: float, part: Domain) -> None:
                          f"{longest / 4:g}")
 
 
-def _check_grids(task: am.ContactProblem, constructor: Maker, arguments: Arguments, levels: int | None) -> None:
+def _check_grids(task: am.ContactProblem, arguments: Arguments) -> None:
     """ValueError for grids of which some are not from coarse to fine, or would take hours."""
     parts, sized = _parts(task), "sizes" in arguments
     key = "sizes" if sized else "divisions"
-    if not sized and not all(isinstance(part, am.Rectangle | am.Box) for part in parts.values()):
+    rows, name = arguments[key], f"hierarchy.{key}"
+    if not sized and not _are_blocks(task):
         raise ValueError("hierarchy.divisions are for rectangles and boxes, which this case is not: give "
                          "hierarchy.sizes = [10e-3, 5e-3] (element sizes in m, coarse to fine)")
-    rows = arguments[key]
     if not isinstance(rows, tuple | list) or not rows:
-        raise TypeError(f"hierarchy.{key} must be a list of {'sizes in m' if sized else 'whole numbers'}, got "
+        raise TypeError(f"{name} must be a list of {'sizes in m' if sized else 'whole numbers'}, got "
                         f"{checks.shown(rows)}")
     for body, part in parts.items():
         values = [row.get(body, 1) if isinstance(row, dict) else row for row in rows]
         if any(isinstance(value, tuple) for value in values):
             continue
-        values = [checks.quantity(f"hierarchy.{key}", v, positive=True) if sized else
-                  checks.integer(f"hierarchy.{key}", v, 1, 10**9) for v in values]
+        values = [checks.quantity(name, v, positive=True) if sized else checks.integer(name, v, 1, 10**9)
+                  for v in values]
         if any(a <= b if sized else a >= b for a, b in pairwise(values)):
-            raise ValueError(f"hierarchy.{key} must go from coarse to fine, got {checks.shown(values)}")
+            raise ValueError(f"{name} must go from coarse to fine, got {checks.shown(values)}")
         ratio = arguments.get("contact_ratio", 1.0)
         ratio = ratio.get(body, 1.0) if isinstance(ratio, dict) else ratio
         if not checks.quantity("hierarchy.contact_ratio", ratio) >= 1:
             raise ValueError(f"hierarchy.contact_ratio must be >= 1, got {ratio}")
-        sides = part.upper - part.lower
         if sized:
-            _check_size("hierarchy.sizes", values[0], part)
+            _check_size(name, values[0], part)
         # the bodies fill a part of their boxes; elements along contact are counted, not in the plane
-        cells = sides / values[-1]
+        cells = (part.upper - part.lower) / values[-1]
         nodes = max(float(np.prod(cells)) / 10, float(cells.max()) * ratio * 50) if sized else \
             len(parts) * (values[-1] + 1.0)**task.dim
         if nodes > _MOST_NODES[task.dim]:
-            raise ValueError(f"hierarchy.{key}: {values[-1]:g} makes about {nodes:.0e} nodes, at most "
-                             f"{_MOST_NODES[task.dim]:.0e} are run in a study")
+            raise ValueError(f"{name}: {values[-1]:g} makes about {nodes:.0e} nodes, at most "
+                             f"{_MOST_NODES[task.dim]:.0e} are run")

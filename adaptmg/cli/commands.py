@@ -1,212 +1,355 @@
-"""The commands and their options. Heavy modules are imported inside them, so that ``--help`` is instant."""
+"""The commands and their options. Heavy modules are imported inside them, so that ``--help`` is instant.
+
+The options of ``solve`` and ``adapt`` are the keys of study files: :mod:`adaptmg.cli.build` makes both from the
+classes.
+"""
 
 from __future__ import annotations
 
+import argparse
 import json
 import logging
+import os
+import re
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Literal, TextIO
-
-import typer
+from typing import TextIO
 
 from adaptmg import __version__
+from adaptmg._text import printable
 
-__all__ = ["app", "main", "report", "runs", "study"]
+__all__ = ["main"]
 
-# names of classes for --help, which loads none of them; a test compares these with adaptmg.cli.build
-SolverName = Literal["full-multigrid", "multigrid", "single-grid", "active-set"]
-LawName = Literal["frictionless", "coulomb", "tresca"]
-TransferName = Literal["interpolation", "l2", "lumped-l2", "pseudo-l2", "quasi-interpolation"]
-CorrectionName = Literal["truncated", "monotone", "paper"]
-Shape = Literal["V", "W", "F", "complete"]
-LinearName = Literal["direct", "amg"]
-EngineName = Literal["remesh", "bisect"]
-IndicatorName = Literal["residual", "recovery"]
-
-# options of several commands
-CaseOption = Annotated[str, typer.Argument(help="Name of a case, see 'adaptmg cases'.")]
-LawOption = Annotated[LawName | None, typer.Option("--law", show_default="that of the case", help="Contact law.")]
-FrictionOption = Annotated[float | None, typer.Option("--friction", help="Coefficient of Coulomb friction.")]
-LimitOption = Annotated[float | None, typer.Option("--limit", help="Tresca limit, Pa.")]
-SetOption = Annotated[list[str] | None, typer.Option(
-    "--set", metavar="NAME=VALUE", help="Argument of the case, see 'adaptmg cases NAME'; several times.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-StoreOption = Annotated[Path, typer.Argument(help="SQLite file of studies.")]
-StudyOption = Annotated[str | None, typer.Option(
-    "--study", show_default="the only one", help="Name of a study in the store.")]
-
-app = typer.Typer(pretty_exceptions_enable=False,
-                  context_settings={"help_option_names": ["-h", "--help"]},
-                  epilog="Example: adaptmg solve greco_bar --divisions 4,8,16,32. Exit codes: 0 done, 1 failed or not "
-                         "converged, 2 bad input, 130 Ctrl-C.")
+_STORED = "finished runs are stored, the same command goes on"
+#: sections of a study file whose keys are the options of a command
+_SECTIONS = {"solve": ("case", "hierarchy", "solver"), "adapt": ("case", "adapt")}
 
 
-def main() -> None:
-    """Entry point of the command."""
-    app(prog_name="adaptmg")
+class _Parser(argparse.ArgumentParser):
+    """Bad input raises ValueError; help is printed on any terminal."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        raise ValueError(f"{message} (see '{self.prog} --help')")
+
+    def _print_message(self, message: str, file: object = None) -> None:
+        _say(message.rstrip())
 
 
-@app.callback(invoke_without_command=True)
-def _root(context: typer.Context,
-          version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False) -> None:
-    """Multigrid for frictional contact on adaptively refined, non-nested meshes."""
-    if version:
-        _say(f"adaptmg {__version__}")
-    elif context.invoked_subcommand is None:
-        typer.echo(context.get_help())
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; SystemExit with 0, 1 (failed or not converged), 2 (bad input) or 130 (Ctrl-C)."""
+    texts = list(sys.argv[1:] if arguments is None else arguments)
+    with _errors(texts):
+        parser = _parser(texts[0] if texts else "")
+        given, unknown = parser.parse_known_args(texts or ["--help"])
+        if unknown:
+            from adaptmg._checks import suggestion
+
+            name = unknown[0].partition("=")[0]
+            raise ValueError(f"there is no option {name}{suggestion(name, given.options)}: 'adaptmg {texts[0]} --help' "
+                             "lists them")
+        raise SystemExit(given.run(given))
 
 
-@app.command(epilog="Example: adaptmg cases dovetail")
-def cases(
-    case: Annotated[str | None, typer.Argument(help="Name of a case: its arguments and boundaries.",
-                                               show_default=False)] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """List the benchmark cases, or explain one: arguments with units and defaults, boundaries, loads."""
-    with _errors(as_json):
-        from adaptmg.cases import CASES
+def _parser(command: str) -> _Parser:
+    """Return the parser; only of ``command`` it has the options that need the classes."""
+    parser = _Parser("adaptmg", description="Multigrid for frictional contact on adaptively refined meshes.",
+                     epilog="Example: adaptmg solve greco_bar. Exit codes: 0 done, 1 failed or not converged, 2 bad "
+                            "input, 130 Ctrl-C.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"adaptmg {__version__}", help="print the version")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
-        if case is not None:
-            from adaptmg.cli import explain
+    def made(run: Callable[[Namespace], int | None], purpose: str, example: str, *more: str) -> Callable[..., object]:
+        name = run.__name__[1:]
+        own = commands.add_parser(name, help=purpose, epilog=f"Example: adaptmg {name} {example}", allow_abbrev=False,
+                                  description=" ".join([f"{purpose[0].upper()}{purpose[1:]}.", *more]))
+        if command == name in _SECTIONS:
+            own.usage = f"adaptmg {name} CASE [options]"
+            _add_settings(own, name)
+        own.set_defaults(run=run, options=own._option_string_actions)
+        return own.add_argument
 
-            _say(json.dumps(explain.case_facts(case), indent=2) if as_json else explain.about_case(case))
-            return
-        if as_json:
-            _say(json.dumps([{"name": n, "description": found.description} for n, found in CASES.items()], indent=2))
-            return
+    add = made(_cases, "list the benchmark cases, or explain one", "dovetail")
+    add("case", metavar="CASE", nargs="?", help="explain this one: arguments with units and defaults, loads")
+    _add_json(add)
+    add = made(_solve, "solve a case and print the result", "greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
+               "--transfer pseudo-l2 --friction 0.3 --set young=7e10 --out results/bar",
+               "Without options grids follow the case. Options are the keys of study files; lists have commas.")
+    add("--out", metavar="FOLDER", type=Path, help="folder for the result (.npz), pictures and a .vtu file")
+    _add_json(add)
+    add = made(_adapt, "solve a case on meshes that follow the error, until a limit is reached: a line a step",
+               "upset_block --max-nodes 20000 --engine bisect --out results/upset")
+    add("--out", metavar="FOLDER", type=Path, help="folder for the last result (.npz), pictures and a .vtu file")
+    add("--store", metavar="FOLDER", type=Path, help="folder that keeps every step; an interrupted loop goes on there")
+    _add_json(add)
+    _add_studies(made)
+    return parser
+
+
+def _add_json(add: Callable[..., object]) -> None:
+    add("--json", action="store_true", help="print JSON")
+
+
+def _add_store(add: Callable[..., object]) -> None:
+    add("store", metavar="STORE", type=Path, help="SQLite file of studies")
+    add("--study", metavar="NAME", help="name of a study in the store (default: the only one)")
+
+
+def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
+    """Add the commands of studies and their stores."""
+    add = made(_study, "run a study file and print its table", "my.toml --workers 4",
+               "Runs that are stored are not computed again. 'adaptmg study --template greco_bar > my.toml' writes a "
+               "file to begin with. Exit code 0: all runs done and converged; 1: a run failed or did not converge.")
+    add("file", metavar="FILE.toml", type=Path, nargs="?", help="study: --keys lists its keys, --template prints one")
+    add("--keys", action="store_true", help="list all keys and measures, with units and defaults")
+    add("--template", metavar="CASE", help="print a file to begin with, for a case of 'adaptmg cases'")
+    add("--workers", metavar="N", type=int, help="processes on this machine (default: of the file, or this process)")
+    add("--scheduler", metavar="ADDRESS", help="a dask scheduler instead, such as tcp://host:8786")
+    add("--store", metavar="STORE", type=Path, help="SQLite file (default: that of the file)")
+    add("--dry-run", action="store_true", help="show the runs without computing them")
+    add("--retry-failed", action="store_true", help="run again what failed")
+    add("--rerun", action="store_true", help="run everything again")
+    add("-q", "--quiet", action="store_true", help="no progress and no table: errors alone")
+    _add_json(add)
+    add = made(_runs, "show the runs in a store", "results/bar.sqlite --where case.friction=0.2 --where \"cycles>20\" "
+               "--to friction.csv", "Without --study those of its one study, or the list of its studies.")
+    _add_store(add)
+    add("--status", metavar="STATUS", help="only runs that are 'done' or 'failed'")
+    add("--where", metavar="CONDITION", action="append", default=[],
+        help="only runs with NAME=VALUE, or with !=, <, <=, >, >= and a number; several times: all of them")
+    add("--details", action="store_true", help="also tries, memory, machine, commit ...")
+    add("--limit", metavar="ROWS", type=int, default=50, help="rows that are printed at most; JSON and files have all")
+    add("--to", metavar="FILE", type=Path, help="write all of them: .csv, .tex, or .parquet (which needs pyarrow)")
+    add("--take-in", metavar="STORE", type=Path, help="first copy the runs of another store into this one")
+    _add_json(add)
+    add = made(_report, "write a page that opens offline: pictures of results, all runs, those that failed",
+               "results/friction.sqlite --result cycles --to friction.html")
+    _add_store(add)
+    add("--result", metavar="COLUMN", action="append", help="column to draw; several times (default: two that vary)")
+    add("--to", metavar="FILE.html", type=Path, help="file to write (default: next to the store, named as the study)")
+
+
+def _add_settings(parser: _Parser, command: str) -> None:
+    from adaptmg.cli.build import PURPOSE, sections
+
+    parser.add_argument("case", metavar="CASE", help="name of a case, see 'adaptmg cases'")
+    parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[],
+                        help="an argument of the case, see 'adaptmg cases CASE', or another key of a study file, such "
+                             "as load_path.left=0.5,1; several times")
+    for section in _SECTIONS[command]:
+        group = parser.add_argument_group(f"{section}: {PURPOSE[section]}".replace("%", "%%"))
+        for key, about in sections()[section].items():
+            names = [f"--{name.replace('_', '-')}" for name in {"method": ("solver", key), "shape": ("cycle", key)}.get(
+                key, (key,))]
+            if key != "case" and not set(names) & set(parser._option_string_actions):
+                default = f" (default: {about.default})" if about.default else ""
+                group.add_argument(*names, dest=f"{section}.{key}", default=argparse.SUPPRESS,
+                                   metavar=about.values if len(about.values) < 12 else "VALUE",
+                                   help=f"{about.meaning}{default}".replace("%", "%%"))
+
+
+def _settings(given: Namespace) -> dict[str, object]:
+    """Return the settings of options and of ``--set``, checked."""
+    from adaptmg.cli import build
+
+    texts = {name: text for name, text in vars(given).items() if "." in name}
+    for text in given.set:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not value:
+            raise ValueError(f"--set must be NAME=VALUE, got {printable(ascii(text))}")
+        texts[name if name.partition(".")[0] in build.PURPOSE else f"case.{name}"] = value
+    return build.from_texts(given.case, texts, adaptive=given.run is _adapt)
+
+
+def _print_json(value: object) -> None:
+    _say(json.dumps(value, indent=2, allow_nan=False))
+
+
+def _cases(given: Namespace) -> None:
+    from adaptmg.cases import CASES
+
+    if given.case is not None:
+        from adaptmg.cli import explain
+
+        _print_json(explain.case_facts(given.case)) if given.json else _say(explain.about_case(given.case))
+    elif given.json:
+        _print_json([{"name": name, "description": case.description} for name, case in CASES.items()])
+    else:
         width = max(map(len, CASES))
-        for name, found in CASES.items():
-            _say(f"{name:<{width}}  {found.description}")
+        _say("\n".join(f"{name:<{width}}  {case.description}" for name, case in CASES.items()))
 
 
-@app.command(epilog="Example: adaptmg solve greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
-                    "--transfer pseudo-l2 --friction 0.3 --set young=7e10 --out results/bar")
-def solve(
-    case: CaseOption,
-    divisions: Annotated[str | None, typer.Option(
-        show_default="4,8,16,32; 3D: 2,4,8", help="Uniform nested grids: cells a side, coarse to fine.")] = None,
-    sizes: Annotated[str | None, typer.Option(
-        help="Independent graded meshes instead: element sizes in m, coarse to fine.")] = None,
-    contact_ratio: Annotated[float | None, typer.Option(
-        show_default="1", help="With --sizes: size away from contact over size at contact.")] = None,
-    transfer: Annotated[TransferName | None, typer.Option(
-        show_default="interpolation", help="With --sizes: transfer between the grids.")] = None,
-    law: LawOption = None,
-    friction: FrictionOption = None,
-    limit: LimitOption = None,
-    arguments: SetOption = None,
-    solver: Annotated[SolverName, typer.Option(help="Method.")] = "full-multigrid",
-    correction: Annotated[CorrectionName | None, typer.Option(
-        show_default="truncated", help="Multigrid: correction.")] = None,
-    cycle: Annotated[Shape | None, typer.Option(
-        "--cycle", "--shape", show_default="V", help="Shape of the cycle of other corrections than truncated.")] = None,
-    pre: Annotated[int | None, typer.Option(show_default="2", help="Sweeps before such a correction.")] = None,
-    post: Annotated[int | None, typer.Option(show_default="0", help="Sweeps after such a correction.")] = None,
-    omega: Annotated[float | None, typer.Option(show_default="1", help="Relaxation of the sweeps.")] = None,
-    linear: Annotated[LinearName | None, typer.Option(show_default="direct", help="Active set: linear solver.")] = None,
-    rtol: Annotated[float | None, typer.Option(
-        show_default="that of the method", help="Tolerance: estimated relative error in the energy norm.")] = None,
-    most: Annotated[int | None, typer.Option(
-        "--max-cycles", show_default="that of the method", help="Cycles, sweeps or Newton steps at most.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Directory for the result (.npz), pictures and a .vtu file.")] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Solve a case and print the result.
+def _solve(given: Namespace) -> int:
+    from adaptmg.cli import case_run, outcome
+    from adaptmg.cli.output import watched
 
-    Exit code 1 if the tolerance was not reached, 2 for bad input, 130 for Ctrl-C.
-    """
-    with _errors(as_json):
-        from adaptmg.cli import solve_case
-        from adaptmg.cli.output import watched
-
-        folder = None if out is None else solve_case.out_folder(out)
-        problem = solve_case.problem_of(case, arguments or (), law=law, friction=friction, limit=limit)
-        method = solve_case.method_of(solver, correction=correction, shape=cycle, pre=pre, post=post, omega=omega,
-                                      linear=linear, rtol=rtol, max_cycles=most)
-        with watched(method.rtol) as callback:
-            grids = solve_case.hierarchy_of(problem, divisions, sizes, contact_ratio=contact_ratio, transfer=transfer)
-            result = solve_case.solved(grids, method, callback)
-        files = [] if folder is None else solve_case.write(folder, problem, grids, result)
-        if as_json:
-            _say(json.dumps(solve_case.summary(result, files), indent=2, allow_nan=False))
-        else:
-            _say("\n".join([repr(grids), "", repr(result), *(f"wrote {file}" for file in files)]))
+    folder, settings = outcome.folder(given.out), _settings(given)
+    with watched() as callback:
+        solved = case_run.solved(settings, callback)
+    files = outcome.write(folder, solved)
+    result = solved.result
+    if given.json:
+        _print_json(outcome.summary(result, files))
+    else:
+        _say("\n".join([str(solved.grids), "", str(result), *(f"wrote {file}" for file in files)]))
     if not result.status.ok:
         _say(f"adaptmg: not converged ({result.status.name}): {result.status.value}", err=True)
-        raise typer.Exit(1)
+    return int(not result.status.ok)
 
 
-@app.command(epilog="Example: adaptmg adapt upset_block --max-nodes 20000 --engine bisect --out results/upset")
-def adapt(
-    case: CaseOption,
-    start: Annotated[float | None, typer.Option(
-        show_default="an eighth of a body", help="Element size of the first mesh, m.")] = None,
-    tolerance: Annotated[float | None, typer.Option(
-        help="Stop at this estimate of the error, relative to the energy norm of the displacement.")] = None,
-    max_nodes: Annotated[int | None, typer.Option(
-        show_default="20000 if no limit is given", help="Nodes at most.")] = None,
-    max_seconds: Annotated[float | None, typer.Option(help="Begin no step after this time.")] = None,
-    engine: Annotated[EngineName, typer.Option(
-        help="New meshes by sizes, or bisection of marked elements.")] = "remesh",
-    indicator: Annotated[IndicatorName, typer.Option(help="Estimate of the error.")] = "residual",
-    theta: Annotated[float, typer.Option(help="Share of the estimate whose elements are marked (bisect).")] = 0.5,
-    law: LawOption = None,
-    friction: FrictionOption = None,
-    limit: LimitOption = None,
-    arguments: SetOption = None,
-    out: Annotated[Path | None, typer.Option(
-        help="Directory for the last result (.npz), pictures and a .vtu file.")] = None,
-    store: Annotated[Path | None, typer.Option(
-        help="Directory that keeps every step; an interrupted loop goes on from there.")] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Solve a case on meshes that follow the error, until a limit is reached: a line a step.
+def _adapt(given: Namespace) -> None:
+    from adaptmg.cli import case_run, outcome
+    from adaptmg.cli.output import watched_loop
+    from adaptmg.estimate.step import Step
 
-    Exit code 1 if a mesh could not be solved to its tolerance, 2 for bad input, 130 for Ctrl-C: with --store the same
-    command goes on.
-    """
-    with _errors(as_json, "" if store is None else "finished steps are stored, the same command goes on"):
-        from adaptmg.cli import solve_case
-        from adaptmg.cli.output import watched_loop
+    folder, settings = outcome.folder(given.out), _settings(given)
+    waiting: list[str] = []
+    with watched_loop() as progress:
+        # lines would run into the bar: they wait until it ends
+        say = waiting.append if given.json or progress is not None else _say
+        say(Step.HEADER)
+        solved = case_run.solved(settings, progress, each=lambda step: say(step.row), store=given.store)
+    files = outcome.write(folder, solved)
+    if given.json:
+        _print_json(outcome.loop_summary(solved.steps, files))
+    else:
+        _say("\n".join([*waiting, solved.steps[-1].outcome, "", str(solved.result),
+                        *(f"wrote {file}" for file in files)]))
 
-        folder = None if out is None else solve_case.out_folder(out)
-        problem = solve_case.problem_of(case, arguments or (), law=law, friction=friction, limit=limit)
-        waiting: list[str] = []
-        with watched_loop() as progress:
-            # lines would run into the bar: they wait until it ends
-            say = waiting.append if as_json or progress is not None else _say
-            steps = solve_case.stepped(
-                problem, start, {"indicator": indicator, "engine": engine, "theta": theta},
-                {"tolerance": tolerance, "max_nodes": max_nodes, "max_seconds": max_seconds}, store, progress, say)
-        files = [] if folder is None else solve_case.write_loop(folder, problem, steps)
-        if as_json:
-            _say(json.dumps(solve_case.loop_summary(steps, files), indent=2, allow_nan=False))
+
+def _study(given: Namespace) -> int:
+    if given.keys or given.template is not None:
+        from adaptmg.cli import explain
+
+        if given.json:
+            _print_json(explain.key_facts() if given.keys else {"template": explain.template(given.template)})
         else:
-            last = steps[-1]
-            _say("\n".join([*waiting, last.outcome, "", repr(last.result), *(f"wrote {file}" for file in files)]))
+            _say(explain.keys() if given.keys else explain.template(given.template))
+        return 0
+    if given.file is None:
+        raise ValueError("give a file: adaptmg study FILE.toml; --template CASE prints one to begin with")
+    from adaptmg.cli import study_file
+
+    described = study_file.read(given.file)
+    options = {**described.options, "rerun": given.rerun, "retry_failed": given.retry_failed}
+    if given.workers is not None or given.scheduler is not None:
+        options |= {"workers": given.workers, "scheduler": given.scheduler}
+    study_file.check_options(described, options)
+    target = described.store if given.store is None else given.store
+    # a dry run writes nothing
+    made = study_file.checked(described, target if not given.dry_run or target.exists() else None)
+    if given.dry_run:
+        _print_json(study_file.summary(made, False)) if given.json else _say(study_file.plan(made))
+        return 0
+    if options.get("workers") is None and given.scheduler is None:
+        study_file.warm(made)
+    with _logged(given.quiet):
+        table = made.run(progress=False if given.quiet else None, **options)
+    if given.json:
+        _print_json(study_file.summary(made, True))
+    elif not given.quiet:
+        _say(f"{study_file.table(made, table)}\n\n{made.status()!r}\nstored in {target}")
+    failed, missed = int((table["status"] == "failed").sum()), study_file.unsolved(table)
+    for count, words in ((failed, "failed: --retry-failed runs them again"),
+                         (missed, "did not converge, see the column outcome")):
+        if count:
+            _say(f"adaptmg: {count} of {len(table)} runs {words}", err=True)
+    return int(bool(failed or missed))
+
+
+def _runs(given: Namespace) -> None:
+    from adaptmg import _checks as checks
+    from adaptmg.cli import runs
+    from adaptmg.cli.output import lines, printed, rows
+
+    limit = checks.integer("--limit", given.limit, 1)
+    if given.status is not None:
+        checks.choice("--status", given.status, ("done", "failed"))
+    conditions = [runs.parsed(text) for text in given.where]
+    if given.to is not None:
+        runs.ending(given.to)
+    if given.take_in is None:
+        found = runs.opened(given.store)
+    else:
+        from adaptmg.study.store import Store
+
+        runs.opened(given.take_in)  # no store is made for one that does not exist
+        found = Store(given.store)
+        _say(f"{found.take_in(given.take_in)} runs taken in from {given.take_in}", err=True)
+    names = found.studies()
+    if given.study is None and len(names) != 1 and not (given.to or conditions or given.status):
+        table = {name: [row[k] for row in found.summaries()]
+                 for k, name in enumerate(("study", "done", "failed", "seconds", "last"))}
+        _say(lines(rows(table)) if given.json else printed(table, ["study"], units={"seconds": "s"}))
+        return
+    name = runs.chosen(given.store, names, given.study)
+    table, total = runs.selected(found, name, status=given.status, where=conditions, details=given.details,
+                                 limit=None if given.json or given.to is not None else limit)
+    units = runs.units(found, name, table)
+    if given.to is not None:
+        runs.write(table, given.to, units)
+        _say(f"wrote {given.to}", err=True)
+    if given.json:
+        _say(lines(rows(table)))
+    elif given.to is None:
+        counted = "1 run" if total == 1 else f"{total} runs"
+        note = f"... {total - limit} more: --limit, or --to FILE.csv for all" if total > limit else counted
+        first = found.runs(name, limit=1)
+        _say(printed(runs.short(table), list(first[0].parameters) if first else [], units=units, note=note))
+
+
+def _report(given: Namespace) -> None:
+    from adaptmg.cli import runs
+
+    page, csv = runs.report(given.store, given.study, given.result, given.to)
+    _say(f"wrote {page} and {csv}", err=True)
 
 
 @contextmanager
-def _errors(as_json: bool = False, go_on: str = "") -> Iterator[None]:
+def _logged(quiet: bool) -> Iterator[None]:
+    """Send the log of studies to standard error: failures only on a terminal, else a line for each run."""
+    logger, handler = logging.getLogger("adaptmg.study"), logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    level, spread = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO if sys.stderr and not (quiet or sys.stderr.isatty()) else logging.WARNING)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = spread
+
+
+@contextmanager
+def _errors(texts: Sequence[str]) -> Iterator[None]:
     """Bad input and files that cannot be written become a line on standard error and exit code 2; Ctrl-C is 130."""
+    as_json, command = "--json" in texts, texts[0] if texts else ""
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
             yield
-    except BrokenPipeError:
-        raise  # the reader of the output has gone: typer ends quietly
+    except BrokenPipeError:  # the reader of the output has gone
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(1) from None
     except KeyboardInterrupt:
-        _fail(f"interrupted{': ' * bool(go_on)}{go_on}", as_json)
-        raise typer.Exit(130) from None
+        stored = command == "study" or any(text.startswith("--store") for text in texts)
+        _fail(f"interrupted{f': {_STORED}' * stored}", as_json)
+        raise SystemExit(130) from None
     except (ValueError, TypeError, OSError, MemoryError, ArithmeticError, RuntimeError) as error:
         # by its name: solvers may not be loaded
         missed = "NotConverged" in {kind.__name__ for kind in type(error).__mro__}
-        _fail(f"{'not converged: ' * missed}{' '.join(_words(error).split())}", as_json)
-        raise typer.Exit(1 if missed else 2) from None
+        text = " ".join(_words(error).split())
+        if command in _SECTIONS and hasattr(error, "place"):  # keys of settings are options here
+            text = re.sub(rf"\b(?:{'|'.join(_SECTIONS[command])})\.([\w.]+)",
+                          lambda match: f"--{match[1].replace('_', '-')}", text)
+        _fail(f"{'not converged: ' * missed}{text}", as_json)
+        raise SystemExit(1 if missed else 2) from None
 
 
 def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
@@ -233,188 +376,8 @@ def _words(error: Exception) -> str:
 
 def _say(text: str, err: bool = False) -> None:
     """Print any text on any terminal; characters that it cannot show become codes."""
-    from adaptmg._text import printable
-
     stream = sys.stderr if err else sys.stdout
-    code = getattr(stream, "encoding", None) or "utf-8"
-    typer.echo(printable(text).encode(code, "backslashreplace").decode(code), err=err)
-
-
-@app.command(epilog="Example: adaptmg study --template greco_bar > my.toml, then adaptmg study my.toml --workers 4")
-def study(
-    file: Annotated[Path | None, typer.Argument(
-        help="TOML file: --keys lists its keys, --template prints one.", metavar="FILE.toml",
-        show_default=False)] = None,
-    keys: Annotated[bool, typer.Option("--keys", help="List all keys and measures, with units and defaults.")] = False,
-    template: Annotated[str | None, typer.Option(
-        help="Print a file to begin with, for a case of 'adaptmg cases'.", metavar="CASE")] = None,
-    workers: Annotated[int | None, typer.Option(
-        show_default="that of the file, or this process", help="Processes on this machine.", min=1)] = None,
-    scheduler: Annotated[str | None, typer.Option(
-        help="Address of a dask scheduler instead, such as tcp://host:8786.")] = None,
-    store: Annotated[Path | None, typer.Option(show_default="that of the file", help="SQLite file.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the runs without computing them.")] = False,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what failed.")] = False,
-    rerun: Annotated[bool, typer.Option("--rerun", help="Run everything again.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no table: errors alone.")] = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Run a study and print its table.
-
-    Runs that are stored are not computed again. Exit code 0: all runs done and converged; 1: a run failed or did not
-    converge; 2: bad input; 130: Ctrl-C, the same command goes on.
-    """
-    with _errors(as_json, "finished runs are stored, the same command goes on"):
-        if keys or template is not None:
-            from adaptmg.cli import explain
-
-            if as_json:
-                _say(json.dumps(explain.key_facts() if keys else {"template": explain.template(template)}, indent=2))
-            else:
-                _say(explain.keys() if keys else explain.template(template))
-            return
-        if file is None:
-            raise ValueError("give a file: adaptmg study FILE.toml; --template CASE prints one to begin with")
-        from adaptmg.cli import study_file
-
-        described = study_file.read(file)
-        options = {**described.options, "rerun": rerun, "retry_failed": retry_failed}
-        if workers is not None or scheduler is not None:
-            options |= {"workers": workers, "scheduler": scheduler}
-        study_file.check_options(described, options)
-        target = described.store if store is None else store
-        # a dry run writes nothing
-        made = study_file.checked(described, target if not dry_run or target.exists() else None)
-        if dry_run:
-            _say(json.dumps(study_file.summary(made, False), indent=2) if as_json else study_file.plan(made))
-            return
-        if options.get("workers") is None and scheduler is None:
-            study_file.warm(made)
-        with _logged(quiet):
-            table = made.run(progress=False if quiet else None, **options)
-        if as_json:
-            _say(json.dumps(study_file.summary(made, True), indent=2, allow_nan=False))
-        elif not quiet:
-            from adaptmg.cli.measure import units_of
-            from adaptmg.cli.output import printed
-
-            _say(printed(table.drop(columns=["error"]), made.parameters, units=units_of(table)))
-            _say(f"\n{made.status()!r}\nstored in {target}")
-        failed, missed = int((table["status"] == "failed").sum()), study_file.unsolved(table)
-    for count, words in ((failed, "failed: --retry-failed runs them again"),
-                         (missed, "did not converge, see the column outcome")):
-        if count:
-            _say(f"adaptmg: {count} of {len(table)} runs {words}", err=True)
-    if failed or missed:
-        raise typer.Exit(1)
-
-
-@contextmanager
-def _logged(quiet: bool) -> Iterator[None]:
-    """Send the log of studies to standard error: failures only on a terminal, else a line for each run."""
-    logger = logging.getLogger("adaptmg.study")
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("%(message)s"))
-    level, spread = logger.level, logger.propagate
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO if sys.stderr and not (quiet or sys.stderr.isatty()) else logging.WARNING)
-    logger.propagate = False
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
-        logger.propagate = spread
-
-
-@app.command(epilog="Example: adaptmg runs results/friction.sqlite --where case.friction=0.2 --where \"cycles>20\" "
-                    "--to friction.csv")
-def runs(
-    store: StoreOption,
-    study: StudyOption = None,
-    status: Annotated[str | None, typer.Option(help="Only runs that are 'done' or 'failed'.")] = None,
-    where: Annotated[list[str] | None, typer.Option(
-        help="Only runs with NAME=VALUE, or with !=, <, <=, >, >= and a number; several times: all of them.")] = None,
-    details: Annotated[bool, typer.Option("--details", help="Also tries, memory, machine, commit ...")] = False,
-    limit: Annotated[int, typer.Option(help="Rows that are printed at most; JSON and files have all.", min=1)] = 50,
-    to: Annotated[Path | None, typer.Option(
-        help="Write all of them to a file: .csv, .tex, or .parquet (which needs pyarrow).")] = None,
-    take_in: Annotated[Path | None, typer.Option(
-        help="First copy the runs of another store into this one.")] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Show the runs in a store: without --study those of its one study, or the list of its studies."""
-    with _errors(as_json):
-        from adaptmg import _checks as checks
-        from adaptmg.cli import runs
-        from adaptmg.cli.output import lines, printed, rows
-
-        if status is not None:
-            checks.choice("--status", status, ("done", "failed"))
-        conditions = [runs.parsed(text) for text in where or []]
-        if to is not None:
-            runs.ending(to)
-        if take_in is None:
-            found = runs.opened(store)
-        else:
-            from adaptmg.study.store import Store
-
-            runs.opened(take_in)  # no store is made for one that does not exist
-            found = Store(store)
-            _say(f"{found.take_in(take_in)} runs taken in from {take_in}", err=True)
-        names = found.studies()
-        if study is None and len(names) != 1 and not (to or conditions or status):
-            table = {name: [row[k] for row in found.summaries()]
-                     for k, name in enumerate(("study", "done", "failed", "seconds", "last"))}
-            _say(lines(rows(table)) if as_json else printed(table, ["study"], units={"seconds": "s"}))
-            return
-        name = runs.chosen(store, names, study)
-        table, total = runs.selected(found, name, status=status, where=conditions, details=details,
-                                     limit=None if as_json or to is not None else limit)
-        if to is not None:
-            runs.write(table, to, runs.units(found, name, table))
-            _say(f"wrote {to}", err=True)
-        if as_json:
-            _say(lines(rows(table)))
-        elif to is None:
-            rest = total - limit
-            counted = "1 run" if total == 1 else f"{total} runs"
-            note = f"... {rest} more: --limit, or --to FILE.csv for all" if rest > 0 else counted
-            first = found.runs(name, limit=1)
-            _say(printed(runs.short(table), list(first[0].parameters) if first else [],
-                         units=runs.units(found, name, table), note=note))
-
-
-@app.command(epilog="Example: adaptmg report results/friction.sqlite --result cycles --to friction.html")
-def report(
-    store: StoreOption,
-    study: StudyOption = None,
-    result: Annotated[list[str] | None, typer.Option(
-        show_default="the first two that vary", help="Column to draw; may be given several times.")] = None,
-    to: Annotated[Path | None, typer.Option(
-        show_default="next to the store, named as the study", help="The HTML file to write.")] = None,
-) -> None:
-    """Write a page that opens offline: how many runs there are, pictures of results, all runs, those that failed."""
-    with _errors():
-        from adaptmg import _checks as checks
-        from adaptmg.cli import runs
-        from adaptmg.export import study_report
-
-        found = runs.opened(store)
-        name = runs.chosen(store, found.studies(), study)
-        records = found.runs(name)
-        table, _ = runs.selected(found, name)
-        table.attrs["study"] = name
-        parameters = {key for record in records for key in record.parameters}
-        if to is None and Path(name).name != name:
-            raise ValueError(f"--to must be given, as the name of the study cannot be that of a file: {name!r}")
-        page = store.with_name(f"{name}.html") if to is None else checks.file_path("--to", to)
-        csv = page.with_suffix(".csv")
-        if csv == page:
-            raise ValueError(f"--to must be an HTML file, got {checks.shown(str(to))}: its table goes into a .csv "
-                             "next to it")
-        written = study_report(table, page, parameters=[key for key in table if key in parameters], results=result,
-                               csv=csv.name, units=runs.units(found, name, table),
-                               summary=runs.same_in_all(records, table), made=runs.made(records))
-        runs.write(table, csv)
-        _say(f"wrote {written} and {csv}", err=True)
+    if stream is not None:
+        code = getattr(stream, "encoding", None) or "utf-8"
+        stream.write(printable(text).encode(code, "backslashreplace").decode(code) + "\n")
+        stream.flush()

@@ -7,11 +7,9 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict
 
-import adaptmg as am
 from adaptmg.cases import CASES, get
-from adaptmg.cli.build import DIVISIONS, Key
-from adaptmg.cli.measure import MEASURES
-from adaptmg.cli.study_file import PURPOSE, case_keys, sections
+from adaptmg.cli.build import PURPOSE, Key, case_keys, sections, sensible_grids
+from adaptmg.cli.case_run import MEASURES
 from adaptmg.problem.load_path import names_in_path
 
 __all__ = ["about_case", "case_facts", "key_facts", "keys", "template"]
@@ -70,29 +68,22 @@ def _width() -> int:
     return max(40, min(shutil.get_terminal_size().columns, 110))
 
 
-#: ratio of element sizes for contact that is small compared with the bodies
-_RATIOS = {"cattaneo": 120, "flat_punch": 40, "hertz_cylinder": 60, "hertz_sphere": 60}
-
-
 def template(name: str) -> str:
     """Return a study file for a case that can be run; other settings stand in comments."""
     posed, own = get(name).function(), case_keys(name)
-    parts = list(getattr(posed.domain, "parts", {"": posed.domain}).values())
     friction = getattr(posed.law, "friction", None)
     arguments = [f"# {key} = {item.default}{f'      # {item.meaning}' if 0 < len(item.meaning) < 80 else ''}"
                  for key, item in own.items() if item.default and key not in ("law", "friction")]
-    if all(isinstance(part, am.Rectangle | am.Box) for part in parts):
-        grids = f"divisions = {list(DIVISIONS[posed.dim])}      # cells a side, coarse to fine"
-    else:
-        size = min(float((part.upper - part.lower).max()) for part in parts)
-        grids = f"sizes = [{', '.join(f'{size / n:.2g}' for n in (4, 7, 12))}]      # element sizes in m, coarse to " \
-                f"fine\ncontact_ratio = {_RATIOS.get(name, 4)}      # finer at contact by this factor"
+    grids = "\n".join(f"{key} = {list(value) if isinstance(value, tuple) else value}{_GRIDS[key]}"
+                      for key, value in sensible_grids(posed).items())
     values = [round(factor * friction, 4) for factor in (0.8, 1.0, 1.2)] if isinstance(friction, float) else [0.1, 0.3]
     law = '# law = "tresca"      # frictionless, coulomb (with friction), tresca (with limit, Pa)\n' * ("law" in own)
     return _TEMPLATE.format(name=name, description=CASES[name].description, law=law, arguments="\n".join(arguments),
                             grids=grids, values=values)
 
 
+_GRIDS = {"divisions": "      # cells a side, coarse to fine", "sizes": "      # element sizes in m, coarse to fine",
+          "contact_ratio": "      # finer at contact by this factor"}
 _TEMPLATE = """# {description}
 #     adaptmg study my.toml --workers 2
 # All keys and measures: adaptmg study --keys

@@ -67,7 +67,7 @@ Row = dict[str, float]
 
 
 @contextmanager
-def watched(rtol: float) -> Iterator[Callable[[Row], None] | None]:
+def watched(rtol: float = 1e-8) -> Iterator[Callable[[Row], None] | None]:
     """Show log and progress of a solve inside: the bar fills by decades of the error."""
     first: list[float] = []
 
@@ -110,6 +110,7 @@ def _bar(begin: str, state: Callable[[Row], dict[str, object]]) -> Iterator[Call
 
     console, logger = Console(stderr=True), logging.getLogger("adaptmg")
     handler = RichHandler(console=console, show_time=False, show_level=False, show_path=False)
+    handler.addFilter(lambda record: record.name != "adaptmg.solver.solve")  # the command prints the result
     level = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)

@@ -13,11 +13,11 @@ import pandas as pd
 
 from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
-from adaptmg.study.record import DETAILS, RESERVED, Record
+from adaptmg.study.record import DETAILS, RESERVED, Record, frame
 from adaptmg.study.store import Store
-from adaptmg.study.tables import cells, frame, numeric
+from adaptmg.study.tables import cells, numeric
 
-__all__ = ["chosen", "ending", "made", "opened", "parsed", "same_in_all", "selected", "short", "units", "write"]
+__all__ = ["chosen", "ending", "opened", "parsed", "report", "selected", "short", "units", "write"]
 
 Condition = tuple[str, str, str]
 
@@ -65,10 +65,33 @@ def selected(store: Store, name: str, *, status: str | None = None, where: Seque
 def units(store: Store, name: str, columns: Sequence[str]) -> dict[str, str]:
     """Return units of the columns of a table: those of what study files measure where the study is of one."""
     if any("case.case" in record.parameters for record in store.runs(name, limit=1)):
-        from adaptmg.cli.measure import units_of  # loads the solvers
+        from adaptmg.cli.case_run import units_of  # loads the solvers
 
         return units_of(columns)
     return {column: unit for column, unit in {"seconds": "s", "peak_memory": "bytes"}.items() if column in columns}
+
+
+def report(path: Path, study: str | None, results: list[str] | None, to: Path | None) -> tuple[Path, Path]:
+    """Write the page of a study and its table; return both files."""
+    from adaptmg.export import study_report
+
+    store = opened(path)
+    name = chosen(path, store.studies(), study)
+    records = store.runs(name)
+    table, _ = selected(store, name)
+    table.attrs["study"] = name
+    parameters = {key for record in records for key in record.parameters}
+    if to is None and Path(name).name != name:
+        raise ValueError(f"--to must be given, as the name of the study cannot be that of a file: {name!r}")
+    page = path.with_name(f"{name}.html") if to is None else checks.file_path("--to", to)
+    csv = page.with_suffix(".csv")
+    if csv == page:
+        raise ValueError(f"--to must be an HTML file, got {checks.shown(str(to))}: its table is a .csv next to it")
+    written = study_report(table, page, parameters=[key for key in table if key in parameters], results=results,
+                           csv=csv.name, units=units(store, name, table), summary=same_in_all(records, table),
+                           made=made(records))
+    write(table, csv)
+    return written, csv
 
 
 def same_in_all(records: Sequence[Record], columns: Sequence[str]) -> str:
@@ -144,20 +167,11 @@ def _value(record: Record, name: str) -> object:
 
 def _holds(value: object, sign: str, text: str) -> bool:
     """Whether a value meets a condition: as text, as a number, or as JSON (true, null, lists)."""
+    plain = type(value) in (int, float)
     if sign in _ORDERED:
-        return type(value) in (int, float) and _ORDERED[sign](value, float(text))
-    if value is _ABSENT:
-        return sign != "="
-    equal = str(value) == text
-    if type(value) in (int, float):
-        equal = equal or (_is_number(text) and value == float(text))
-    elif not equal:
-        try:
-            given = json.loads(text)
-        except ValueError:
-            return sign != "="
-        plain = json.loads(json.dumps(value)) if isinstance(value, tuple) else value
-        equal = type(plain) is type(given) and plain == given
+        return plain and _ORDERED[sign](value, float(text))
+    equal = value is not _ABSENT and (text in (str(value), json.dumps(value))
+                                      or (plain and _is_number(text) and value == float(text)))
     return equal == (sign == "=")
 
 
@@ -185,7 +199,7 @@ def write(table: pd.DataFrame, path: Path, units: Mapping[str, str] | None = Non
         try:
             table.map(_plain).apply(_of_one_type).to_parquet(buffer, index=False)
         except ImportError:
-            raise ValueError("--to FILE.parquet needs the package pyarrow: pip install \"adaptmg[parquet]\", or write "
+            raise ValueError("--to FILE.parquet needs the package pyarrow: pip install pyarrow, or write "
                              ".csv") from None
         content = buffer.getvalue()
     write_bytes(target, content)
@@ -206,20 +220,11 @@ def _of_one_type(column: pd.Series) -> pd.Series:
     return column.map(lambda value: None if value is None else json.dumps(value))
 
 
-_SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}",
-            ">": r"\textgreater{}", "|": r"\textbar{}", **{c: f"\\{c}" for c in "&%$#_{}"},
-            # at the beginning of a row they would belong to the end of the row before
-            "[": "{[}", "*": "{*}"}
-_POWER = re.compile(r"^(-?[\d.]+)e(?:\+|(-))0*(\d+)$")
-
-
 def _latex(table: pd.DataFrame, units: Mapping[str, str] | None) -> str:
-    """Return a tabular of booktabs, numbers right-aligned, powers of ten as such."""
+    """Return a tabular of booktabs, numbers right-aligned."""
     headers, columns = cells(table, units)
     kinds = "".join("r" if numeric(column) else "l" for _, column in table.items())
-    escaped = [["".join(_SPECIAL.get(c, c) for c in cell) for cell in column] for column in [headers, *columns]]
-    escaped[1:] = [[_POWER.sub(r"$\1 \\cdot 10^{\2\3}$", cell) for cell in column] if kind == "r" else column
-                   for kind, column in zip(kinds, escaped[1:], strict=True)]
-    body = [" & ".join(row) + r" \\" for row in zip(*escaped[1:], strict=True)]
-    return "\n".join([f"\\begin{{tabular}}{{{kinds}}}", r"\toprule", " & ".join(escaped[0]) + r" \\", r"\midrule",
-                      *body, r"\bottomrule", r"\end{tabular}", ""])
+    made = pd.DataFrame(dict(zip(headers, columns, strict=True)))
+    text = made.to_latex(index=False, column_format=kinds, escape=True)
+    # at the beginning of a row these would belong to the end of the row before
+    return re.sub(r"^(?=[\[*])", "{}", text, flags=re.MULTILINE)

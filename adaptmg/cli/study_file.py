@@ -12,80 +12,27 @@ import re
 import socket
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-import adaptmg as am
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import printable
-from adaptmg.cases import get
 from adaptmg.cli import build
-from adaptmg.cli.build import DIVISIONS, METHODS, OBJECTS, Key, WrongSetting, keys_of, name_of
-from adaptmg.cli.measure import COLUMNS, MEASURES, case_run
+from adaptmg.cli.build import PURPOSE, SETTINGS, Key, WrongSetting, case_keys, sections, setting
+from adaptmg.cli.case_run import MEASURES, case_run, units_of
 from adaptmg.cli.output import printed, rows
-from adaptmg.study import Grid, LatinHypercube, Random, Repeated, Sobol, Study, Zip
+from adaptmg.study import Grid, LatinHypercube, Random, Repeated, Sobol, Study, Zip, execute
 from adaptmg.study.designs import Design
 from adaptmg.study.record import Value
 
-__all__ = ["PURPOSE", "StudyFile", "case_keys", "check_options", "checked", "plan", "read", "sections", "summary",
-           "unsolved", "warm"]
+__all__ = ["StudyFile", "check_options", "checked", "plan", "read", "summary", "table", "unsolved", "warm"]
 
-#: sections whose keys are settings of a run, which [vary] can name
-SETTINGS = ("case", "hierarchy", "solver", "adapt", "load_path")
-#: purposes of the sections
-PURPOSE = {
-    "case": "the problem: its name, its law, and its arguments, see 'adaptmg cases NAME'",
-    "hierarchy": "grids; without it the default divisions",
-    "solver": "method; without it full multigrid, truncated, to 1e-8",
-    "adapt": "instead of [hierarchy]: meshes that follow the error, until one of the limits",
-    "load_path": "load steps: factors by boundary or body, NAME = [0.5, 1.0], one a step",
-    "measure": "columns of the table next to the outcome; it may be empty",
-    "run": "how runs are computed",
-    "design": "which points",
-    "vary": "settings and their values, \"solver.pre\" = [1, 2, 4]; samples: their ranges [low, high]",
-}
 #: bytes of a study file at most
 _MOST = 1_000_000
 _DESIGNS = {"grid": Grid, "zip": Zip, "random": Random, "latin-hypercube": LatinHypercube, "sobol": Sobol}
-Sections = Mapping[str, Mapping[str, Key]]
-
-
-def case_keys(name: str) -> dict[str, Key]:
-    """Return the keys of [case] for a case."""
-    return {"case": sections()["case"]["case"], **keys_of(get(name).function)}
-
-
-@cache
-def sections() -> dict[str, dict[str, Key]]:
-    """Return all sections with their keys; of [case] those of all cases."""
-    samples, run, uniform = keys_of(Random), keys_of(am.Study.run), keys_of(am.Hierarchy.uniform)
-    divisions = ", in 3D ".join(str(list(values)) for values in DIVISIONS.values())
-    return {
-        "case": {"case": Key("name", "the problem, see 'adaptmg cases'"),
-                 "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "contact law", "that of the case"),
-                 **{key: value for kind in OBJECTS["law"] for key, value in keys_of(kind).items()}},
-        "hierarchy": {**uniform, "divisions": replace(uniform["divisions"], default=divisions),
-                      **keys_of(am.Hierarchy.graded),
-                      "levels": Key("int", "How often the elements at contact of a single grid are bisected")},
-        "solver": {"method": Key(" | ".join(map(name_of, METHODS)), "the solver", f'"{name_of(METHODS[0])}"'),
-                   **{name: key for kind in reversed(METHODS) for name, key in keys_of(kind).items()}},
-        "adapt": keys_of(am.adapt),
-        "load_path": {"default": keys_of(am.LoadPath)["default"]},
-        "measure": {"columns": Key("list of names", "measures in the table", str(list(COLUMNS)).replace("'", '"')),
-                    "forces_on": Key("list of names", "boundaries: resultant force on each, columns 'force_x(NAME)'"),
-                    "points": Key("{NAME = [x, y]}, m", "displacement at named points, columns 'NAME.x', m"),
-                    "keep": Key("bool", "keep the result of the last step in the folder STORE.files", "false")},
-        "run": {name: run[name] for name in ("workers", "limit_s", "memory_limit", "cost")},
-        "design": {"kind": Key(" | ".join(_DESIGNS), "every combination of values; lists side by side; samples of "
-                               "ranges [low, high]", '"grid"'),
-                   **{name: samples[name] for name in ("runs", "seed")},
-                   "log": Key("list of names", "Settings that are sampled on a logarithmic scale"),
-                   "repeats": Key("int", "How often each point is run: a parameter 'repeat' counts them", "1")},
-        "vary": {}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,7 +121,7 @@ def _checked(path: Path, text: str, content: dict[str, object]) -> StudyFile:
             known = sections() | {"case": case_keys(checks.boundary_name("case", case))}
         except (TypeError, ValueError) as error:
             raise WrongSetting(error, "vary.case.case" if "case.case" in varied else "case.case") from None
-        fixed = {key: _value(known, key, value, key) for key, value in fixed.items()}
+        fixed = {key: setting(known, key, value, key) for key, value in fixed.items()}
         varied = {key: _varied(known, key, values) for key, values in varied.items()}
     design = _design(content, varied)
     fixed = {key: value for key, value in fixed.items() if key not in varied}
@@ -216,45 +163,19 @@ def _flat(section: str, table: Mapping[str, object], before: str = "") -> dict[s
     return found
 
 
-def _varied(known: Sections, setting: str, values: object) -> list[Value]:
-    section, _, key = setting.partition(".")
-    if section not in SETTINGS or not key:
-        names = [f"{section}.{key}" for section in SETTINGS for key in known[section]]
-        raise WrongSetting(f"{setting!r} cannot be varied{checks.suggestion(setting, names)}: name a setting as "
-                           "\"section.key\"", f"vary.{setting}")
+def _varied(known: Mapping[str, Mapping[str, Key]], name: str, values: object) -> list[Value]:
+    part, _, key = name.partition(".")
+    if part not in SETTINGS or not key:
+        names = [f"{part}.{key}" for part in SETTINGS for key in known[part]]
+        raise WrongSetting(f"{name!r} cannot be varied{checks.suggestion(name, names)}: name a setting as "
+                           "\"section.key\"", f"vary.{name}")
     if not isinstance(values, list) or not values:
-        raise WrongSetting(f"{setting} must be a list of values, got {checks.shown(values)}", f"vary.{setting}")
-    return [_value(known, setting, value, f"vary.{setting}") for value in values]
-
-
-def _value(known: Sections, setting: str, value: object, place: str) -> Value:
-    """Return the value of a setting as a parameter; whole numbers are floats where an argument is one."""
-    section, _, key = setting.partition(".")
-    keys = known[section]
-    # values by name, such as measure.points.A, have a key after the argument
-    head = keys.get(key.partition(".")[0])
-    by_name = "." in key and head is not None and ("mapping" in head.values or "{" in head.values)
-    if not (key in keys or by_name or (section == "load_path" and key)):
-        command = "cases NAME" if section == "case" else "study --keys"
-        raise WrongSetting(f"[{section}] has no key {key!r}{checks.suggestion(key, keys)}: 'adaptmg {command}' lists "
-                           "the keys", place)
-    plain = _plain(setting, value, place)
-    whole = type(plain) is int and key in keys and keys[key].real
-    return float(plain) if whole and abs(plain) < 1e300 else plain
-
-
-def _plain(name: str, value: object, place: str) -> Value:
-    """Return a value that can be a parameter; lists become tuples."""
-    if isinstance(value, list | tuple):
-        return tuple(_plain(f"{name}[{k}]", item, place) for k, item in enumerate(value))
-    if isinstance(value, bool | int | float | str):
-        return value
-    raise WrongSetting(f"{name} must be a number, text, true, false, or a list of those, got {checks.shown(value)}",
-                       place)
+        raise WrongSetting(f"{name} must be a list of values, got {checks.shown(values)}", f"vary.{name}")
+    return [setting(known, name, value, f"vary.{name}") for value in values]
 
 
 def _design(content: Mapping[str, object], values: dict[str, list[Value]]) -> Design:
-    given = {key: _value(sections(), f"design.{key}", value, f"design.{key}")
+    given = {key: setting(sections(), f"design.{key}", value, f"design.{key}")
              for key, value in content.get("design", {}).items()}
     repeats, kind = given.pop("repeats", 1), given.pop("kind", "grid")
     try:
@@ -299,7 +220,7 @@ def _options(given: Mapping[str, object], settings: list[str]) -> dict[str, Valu
              "memory_limit": checks.positive, "cost": checks.boundary_name}
     found = {}
     for key, value in given.items():
-        _value(sections(), f"run.{key}", value, f"run.{key}")
+        setting(sections(), f"run.{key}", value, f"run.{key}")
         try:
             found[key] = tests[key](f"run.{key}", value)
         except (TypeError, ValueError) as error:
@@ -379,11 +300,16 @@ def unsolved(table: pd.DataFrame) -> int:
     return int(((table["status"] == "done") & (table["outcome"] != "CONVERGED")).sum()) if "outcome" in table else 0
 
 
+def table(study: Study, found: pd.DataFrame) -> str:
+    """Return the table of a study as text, with units."""
+    return printed(found.drop(columns=["error"]), study.parameters, units=units_of(found))
+
+
 def warm(study: Study) -> None:
     """Compile the kernels of the default method before the clock of the first run, if anything is to be run."""
     status = study.status()
     if status.done + status.failed < status.total:
-        am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)), throw=False)
+        execute.warm()
 
 
 def plan(study: Study) -> str:

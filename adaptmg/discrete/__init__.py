@@ -9,3 +9,7 @@ from adaptmg.discrete.stress import element_strain, full_stress, von_mises
 
 __all__ = ["discretise", "element_strain", "fixed_dofs", "full_stress", "load_vector",
            "rigid_motions", "stiffness", "von_mises"]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -160,9 +160,8 @@ def _check_supports(problem: ContactProblem, mesh: MeshArrays, nodes: np.ndarray
     if not clash.any():
         return
     i, d = (int(k[0]) for k in np.nonzero(clash))
-    support = next(s for s in problem.supports
-                   if s.components(mesh.dim)[d] is not None and nodes[i] in mesh.boundary_nodes(s.boundary))
-    raise ValueError(f"the support on {support.boundary!r} fixes {'xyz'[d]}, which has a part normal to contact "
+    support = next(s for s in problem.supports if fixed_dofs(mesh, [s])[0][mesh.dim * nodes[i] + d])
+    raise ValueError(f"the support on {support.place!r} fixes {'xyz'[d]}, which has a part normal to contact "
                      f"boundary {problem.contact[owner[i]].boundary!r} at their common node {nodes[i]} "
                      f"{tuple(mesh.points[nodes[i]].tolist())}: contact could never open there; free that component, "
                      "or end one of the boundaries before the other begins")

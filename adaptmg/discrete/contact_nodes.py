@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.problem.contact_problem import CONTACT
 from adaptmg.problem.laws import Law
 
@@ -40,6 +43,12 @@ class ContactNodes:
         Names of the contact boundaries.
     masters : tuple of str, optional
         For each of ``names`` the boundary of another body that it may touch; "" (the default) is a rigid obstacle.
+
+    Examples
+    --------
+    >>> contact = am.ContactNodes(nodes=[0, 1], normals=[[0, -1], [0, -1]], gaps=[0.0, 1e-5])
+    >>> len(contact)
+    2
     """
 
     nodes: np.ndarray
@@ -51,6 +60,13 @@ class ContactNodes:
     boundary: np.ndarray | None = None
     names: tuple[str, ...] = ("contact",)
     masters: tuple[str, ...] | None = None
+
+    __repr__ = brief
+    if TYPE_CHECKING:
+        def __init__(self, *, nodes: ArrayLike, normals: ArrayLike, gaps: ArrayLike, weights: ArrayLike | None = None,
+                     slip_reference: ArrayLike | None = None, allow_interference: bool = False,
+                     boundary: ArrayLike | None = None, names: tuple[str, ...] = ("contact",),
+                     masters: tuple[str, ...] | None = None) -> None: ...
 
     def __post_init__(self) -> None:
         nodes = check_arrays.array("nodes", self.nodes, (None,), integer=True)

@@ -12,9 +12,13 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.loads import Support
+from adaptmg.problem.loads import AnySupport, PointSpring, PointSupport, Support, Symmetry
 
-__all__ = ["area_vectors", "fixed_dofs", "named_facets", "shape_integrals"]
+__all__ = ["area_vectors", "boundary_supports", "fixed_dofs", "held_components", "named_facets", "node_at",
+           "shape_integrals", "supported_nodes"]
+
+_AT_POINT = 1e-9  # of the size of the mesh: nodes nearer to a point lie at it
+_ALONG_AXIS = 1e-9
 
 
 def named_facets(mesh: MeshArrays, boundary: str) -> np.ndarray:
@@ -42,26 +46,79 @@ def shape_integrals(points: np.ndarray, facets: np.ndarray, axisymmetric: bool =
     return 2 * np.pi * (r + r.sum(axis=1, keepdims=True)) / 6
 
 
-def fixed_dofs(mesh: MeshArrays, supports: Sequence[Support]) -> tuple[np.ndarray, np.ndarray]:
+def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -> int:
+    """The node at a point; ValueError if there is none, or several bodies have one."""
+    text = f"point {tuple(point)}"
+    if body is not None and body not in mesh.bodies:
+        raise ValueError(f"{text}: body {body!r} does not exist; the bodies are {', '.join(mesh.bodies)}")
+    mine = mesh.elements if body is None else mesh.elements[mesh.element_body == mesh.bodies.index(body)]
+    nodes = np.unique(mine)
+    away = np.linalg.norm(mesh.points[nodes] - point, axis=1)
+    near = nodes[away <= _AT_POINT * np.ptp(mesh.points, axis=0).max()]
+    if not len(near):
+        nearest = mesh.points[nodes[np.argmin(away)]]
+        raise ValueError(f"{text}: no node of the mesh lies there, the nearest one {away.min():.3g} m away at "
+                         f"{tuple(nearest.tolist())}. Meshes have a node at each vertex of a Polygon or Outline: cut "
+                         "an edge in two there")
+    if len(near) > 1:
+        raise ValueError(f"{text}: {len(near)} nodes lie there, of bodies that touch: say body=...")
+    return int(near[0])
+
+
+def supported_nodes(mesh: MeshArrays, support: AnySupport) -> np.ndarray:
+    """Nodes (n,) that a support or spring holds."""
+    if isinstance(support, PointSupport | PointSpring):
+        return np.array([node_at(mesh, support.point, support.body)])
+    return np.unique(named_facets(mesh, support.boundary))
+
+
+def boundary_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Support]:
+    """Supports that prescribe displacements on boundaries, planes of symmetry by the component that they prescribe."""
+    resolved = [_of_symmetry(mesh, one) if isinstance(one, Symmetry) else one for one in supports]
+    return [one for one in resolved if isinstance(one, Support)]
+
+
+def held_components(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[str, str]:
+    """By boundary the components that supports prescribe, such as "xy"."""
+    held: dict[str, str] = {}
+    for support in boundary_supports(mesh, supports):
+        components = "".join(c for c in "xyz" if getattr(support, c) is not None)
+        held[support.boundary] = held.get(support.boundary, "") + components
+    return held
+
+
+def _of_symmetry(mesh: MeshArrays, symmetry: Symmetry) -> Support:
+    vectors = area_vectors(mesh.points, named_facets(mesh, symmetry.boundary))
+    along = np.abs(vectors) / np.linalg.norm(vectors, axis=1)[:, None]
+    axis = int(np.argmax(along[0]))
+    if not along[:, axis].min() > 1 - _ALONG_AXIS:
+        raise ValueError(f"symmetry on {symmetry.boundary!r}: the boundary must be plane and normal to a coordinate "
+                         "axis; turn the geometry, or name that part of it")
+    return Support(symmetry.boundary, **{"xyz"[axis]: 0.0})
+
+
+def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.ndarray, np.ndarray]:
     """Mask (n_dofs,) and values (n_dofs,), m, zero where free, of the prescribed dofs.
 
-    Where two supports meet, they must agree or prescribe different components. ValueError for a boundary the mesh does
-    not have, a z component in 2D, two values for one dof, or functions of position with values that are not finite.
+    Where two supports meet, they must agree or prescribe different components. ValueError for a boundary or point the
+    mesh does not have, a z component in 2D, two values for one dof, or functions with values that are not finite.
     """
     fixed = np.zeros((mesh.n_nodes, mesh.dim), dtype=bool)
     values = np.zeros((mesh.n_nodes, mesh.dim))
     origin = np.full((mesh.n_nodes, mesh.dim), -1)
+    supports = [_of_symmetry(mesh, one) if isinstance(one, Symmetry) else one for one in supports]
     for k, support in enumerate(supports):
-        nodes = np.unique(named_facets(mesh, support.boundary))
+        nodes = supported_nodes(mesh, support)
         for d, value in enumerate(support.components(mesh.dim)):
             if value is None:
                 continue
-            prescribed = checks.field(f"{'xyz'[d]} of the support on {support.boundary!r}", value, mesh.points[nodes])
+            name = f"{'xyz'[d]} of the support on {support.place!r}"
+            prescribed = checks.field(name, value, mesh.points[nodes])
             clash = fixed[nodes, d] & (values[nodes, d] != prescribed)
             if clash.any():
                 node, here = int(nodes[np.argmax(clash)]), prescribed[np.argmax(clash)]
-                other = supports[origin[node, d]].boundary
-                raise ValueError(f"supports on {other!r} and {support.boundary!r} prescribe different {'xyz'[d]} "
+                other = supports[origin[node, d]].place
+                raise ValueError(f"supports on {other!r} and {support.place!r} prescribe different {'xyz'[d]} "
                                  f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
                                  f"{tuple(mesh.points[node].tolist())}: give both the same value or free one")
             fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, prescribed, k

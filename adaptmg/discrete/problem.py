@@ -16,14 +16,17 @@ import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     ContactNodes,
     bounded,
@@ -75,6 +78,16 @@ class DiscreteProblem(Unknowns):
     exchange : Exchange, optional
         Contact as it was posed where slave and master were exchanged at single nodes
         (:mod:`adaptmg.discrete.exchange`).
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> contact = am.ContactNodes(nodes=[0], normals=[[0.0, -1.0]], gaps=[0.0])
+    >>> discrete = am.DiscreteProblem(matrix=2.0 * sparse.eye_array(2), load=np.array([0.1, -1.0]),
+    ...                               fixed=np.zeros(2, bool), law=am.Coulomb(0.3), contact=contact)
+    >>> result = am.solve(discrete, am.SingleGrid())
+    >>> result.contact.force_n.round(6).tolist()
+    [1.0]
     """
 
     matrix: sparse.bsr_array
@@ -89,6 +102,13 @@ class DiscreteProblem(Unknowns):
     coupling: Coupling | None = None
     bodies: Mapping[str, np.ndarray] | None = None
     exchange: Exchange | None = None
+
+    if TYPE_CHECKING:
+        def __init__(self, *, matrix: sparse.sparray | sparse.spmatrix, load: ArrayLike, fixed: ArrayLike, law: Law,
+                     contact: ContactNodes, fixed_values: ArrayLike | None = None,
+                     coordinates: ArrayLike | None = None, near_nullspace: ArrayLike | None = None,
+                     name: str = "discrete problem", coupling: Coupling | None = None,
+                     bodies: Mapping[str, np.ndarray] | None = None, exchange: Exchange | None = None) -> None: ...
 
     @classmethod
     def assembled(cls, **parts: object) -> DiscreteProblem:
@@ -151,6 +171,10 @@ class DiscreteProblem(Unknowns):
                     load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
                     coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
                     near_nullspace=near_nullspace)
+
+    def __repr__(self) -> str:
+        return shortened(f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} of "
+                         f"{self.n_dofs} dofs fixed, {len(self.contact)} contact nodes, {self.law!r}")
 
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.

@@ -5,7 +5,8 @@ r"""Strain and stress, element by element, from a P1 displacement.
 
 with the initial strain :math:`\varepsilon_0`, if any, and the Lame constants as they enter the plane problem. Both are
 constant on an element, but for the hoop strain :math:`u_r / r` of axisymmetric bodies, whose mean over the volume is
-taken: its value at the centroid, :math:`\int u_r \big/ \int r`.
+taken: its value at the centroid, :math:`\int u_r \big/ \int r`. The strain energy is
+:math:`\tfrac12 \int \sigma : (\varepsilon - \varepsilon_0)`, by the quadrature of the stiffness matrix.
 """
 
 from __future__ import annotations
@@ -17,11 +18,12 @@ import numpy as np
 
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.loads import mean_initial_strain
+from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import InitialStrain, Load
 from adaptmg.problem.materials import PlaneStress
 
-__all__ = ["StressData", "element_strain", "full_stress", "hoop_strain", "von_mises"]
+__all__ = ["StressData", "as_tensors", "element_strain", "full_stress", "hoop_strain", "von_mises"]
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -73,22 +75,51 @@ class StressData:
 
     def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Stress tensors (n_elements, 3, 3) as of :func:`full_stress`."""
+        return self._stress(mesh, self._elastic(mesh, displacement))
+
+    def strains(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+        """Strain tensors (n_elements, 3, 3), initial strains included: through the thickness, and of the hoop, too."""
+        strain, thin = self._elastic(mesh, displacement), (self.kind == _THIN)[mesh.element_body]
+        body, sheet = mesh.element_body[thin], strain[thin]
+        strain[thin, 2, 2] = -self.lame[body] / (2 * self.shear[body]) * (sheet[:, 0, 0] + sheet[:, 1, 1])
+        if len(self.initial_strain):
+            strain[:, np.arange(3), np.arange(3)] += self.initial_strain
+        return strain
+
+    def energy(self, mesh: MeshArrays, displacement: np.ndarray) -> float:
+        """Strain energy, J (plane: J/m)."""
+        elastic, u = self._elastic(mesh, displacement), _nodal(mesh, displacement)
+        if not self.axisymmetric:
+            return 0.5 * float(np.einsum("n,nij,nij", mesh.volumes, self._stress(mesh, elastic), elastic))
+        total, (rule, weights) = 0.0, quadrature_rule(3, AXISYMMETRIC_DEGREE)
+        initial = self.initial_strain[:, 2] if len(self.initial_strain) else 0.0
+        for at, weight in zip(rule, weights, strict=True):
+            radius = mesh.points[mesh.elements, 0] @ at
+            elastic[:, 2, 2] = u[mesh.elements, 0] @ at / radius - initial
+            total += weight * np.einsum("n,nij,nij", radius * mesh.volumes, self._stress(mesh, elastic), elastic)
+        return float(np.pi * total)
+
+    def _elastic(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+        """Strain minus initial strain; of plane stress without the strain through the thickness."""
         if len(self.kind) != len(mesh.bodies) or len(self.initial_strain) not in (0, len(mesh.elements)):
             raise ValueError(f"stress data of {len(self.kind)} bodies and {len(self.initial_strain)} elements do not "
                              f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}")
-        dim, body, diagonal = mesh.dim, mesh.element_body, np.arange(3)
+        dim, diagonal = mesh.dim, np.arange(3)
         strain = np.zeros((len(mesh.elements), 3, 3))
         strain[:, :dim, :dim] = element_strain(mesh, displacement)
         if self.axisymmetric:
             strain[:, 2, 2] = hoop_strain(mesh, displacement)
         if len(self.initial_strain):
             strain[:, diagonal, diagonal] -= self.initial_strain
-        thin = (self.kind == _THIN)[body]
         # a sheet strains freely through its thickness: its Lame constant accounts for that
-        strain[thin, 2, 2] = 0.0
+        strain[(self.kind == _THIN)[mesh.element_body], 2, 2] = 0.0
+        return strain
+
+    def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
+        body, diagonal = mesh.element_body, np.arange(3)
         stress = 2 * self.shear[body][:, None, None] * strain
         stress[:, diagonal, diagonal] += (self.lame[body] * np.trace(strain, axis1=1, axis2=2))[:, None]
-        stress[thin, 2, 2] = 0.0
+        stress[(self.kind == _THIN)[body], 2, 2] = 0.0
         return stress
 
 
@@ -101,6 +132,11 @@ def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray,
     stress, other loads do not matter.
     """
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
+
+
+def as_tensors(columns: np.ndarray) -> np.ndarray:
+    """Symmetric tensors (n, 3, 3) of their columns (n, 6): xx, yy, zz, xy, yz, xz."""
+    return columns[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:

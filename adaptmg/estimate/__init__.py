@@ -11,3 +11,7 @@ from adaptmg.estimate.tractions import BoundaryTractions, boundary_tractions
 
 __all__ = ["BoundaryTractions", "Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Remesh",
            "Residual", "boundary_tractions", "energy_error"]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._runtime import say
 from adaptmg.estimate.bisect import Bisect
 from adaptmg.estimate.estimate import Doerfler, Indicator, Mark
 from adaptmg.estimate.goal import Goal
@@ -49,8 +50,11 @@ def adapt(problem: ContactProblem,
           tolerance: float | None = None, max_nodes: int | None = None, max_seconds: float | None = None,
           store: str | os.PathLike[str] | None = None, depends: Mapping[str, object] | None = None,
           transfer: Transfer | None = None, solver: Solver | None = None, load_path: LoadPath | None = None,
-          adapt_on: str = "last", progress: Progress | None = None) -> Iterator[Step]:
+          adapt_on: str = "last", progress: Progress | bool | None = None) -> Iterator[Step]:
     """Solve on meshes that follow the error, one finer than the other, until a limit is reached.
+
+    Without ``tolerance``, ``max_nodes`` and ``max_seconds`` it ends at 20 000 nodes. Warnings as of
+    :func:`adaptmg.solve`, once for the whole loop.
 
     Parameters
     ----------
@@ -90,9 +94,9 @@ def adapt(problem: ContactProblem,
     adapt_on : {"last", "worst"}
         With a load path: take the estimate of its last load step and refine for it; or the largest relative estimate of
         all load steps, and refine where any of them needs it.
-    progress : callable, optional
+    progress : callable or bool, optional
         Called with a dict before each phase of a step, and after it: step, phase, nodes, estimate (of the step before),
-        seconds, expected_seconds (of the whole loop, roughly).
+        seconds, expected_seconds (of the whole loop, roughly). True: write lines to standard error.
 
     Yields
     ------
@@ -102,16 +106,20 @@ def adapt(problem: ContactProblem,
     Raises
     ------
     TypeError, ValueError
-        Bad arguments, immediately; no limit at all; a first mesh beyond the limits; a store of something else.
+        Bad arguments, immediately; a first mesh beyond the limits; a store of something else.
     NotConverged
         If a step cannot be solved.
 
     Examples
     --------
-    >>> for step in am.adapt(am.cases.upset_block(), max_nodes=20_000):
-    ...     print(step)
+    >>> problem = am.cases.upset_block()
+    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=30))
+    >>> steps[-1].estimate.relative < steps[0].estimate.relative
+    True
     """
     checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+    if tolerance is None and max_nodes is None and max_seconds is None:
+        max_nodes = _NODES
     limits = Limits(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds)
     if engine is None:
         # errors of single quantities scatter less on Netgen's own meshes
@@ -119,14 +127,23 @@ def adapt(problem: ContactProblem,
     parts = Parts(Residual() if indicator is None else indicator, Doerfler(0.5) if mark is None else mark, engine,
                   solver, load_path, adapt_on)
     _check(parts)
-    checks.optional_callable("progress", progress, "what is being done")
+    if not isinstance(progress, bool):
+        checks.optional_callable("progress", progress, "what is being done (or a bool)")
     first = _first_hierarchy(problem, start, transfer, engine, limits)
     steps = None
     if store is not None:
         options = {"indicator": parts.indicator, "mark": parts.mark, "engine": parts.engine, "solver": parts.solver,
                    "transfer": first.transfer, "contact_rows": first.contact_rows, "adapt_on": parts.adapt_on}
         steps = LoopStore(store, loop_fingerprint(first, options, load_path, depends))
-    return AdaptiveLoop(first, parts, limits, steps, progress).steps()
+    report = _written if progress is True else progress or None
+    return AdaptiveLoop(first, parts, limits, steps, report).steps()
+
+
+def _written(row: dict[str, float | str]) -> None:
+    """Write a line before each solve and after each step."""
+    words = {"solve": "solve", "done": f"estimate {row['estimate']:.3%}, {row['seconds']:.2f} s in all"}
+    if row["phase"] in words:
+        say(f"step {row['step']}: {row['nodes']} nodes, {words[row['phase']]}")
 
 
 def _check(parts: Parts) -> None:
@@ -142,6 +159,8 @@ def _check(parts: Parts) -> None:
     checks.choice("adapt_on", parts.adapt_on, ("last", "worst"))
 
 
+#: nodes of a loop without limits
+_NODES = 20_000
 #: sizes of the first mesh over the extent of a body by default, and elements along a contact boundary at least
 _ACROSS, _ALONG = 8, 3
 #: a size is refused before it is meshed if the expected nodes, which are good to 15 %, exceed a limit by this factor

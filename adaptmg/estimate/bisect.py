@@ -56,6 +56,13 @@ class Bisect:
     passes : int, optional
         How often a marked element is bisected, >= 1. By default until all its edges are halved: 4 triangles, at least
         8 tetrahedra. With 1 meshes grow least, and the loop takes more steps.
+
+    Examples
+    --------
+    >>> problem = am.cases.upset_block()
+    >>> steps = am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=30)
+    >>> next(steps).number
+    0
     """
 
     coarsen: float = False

@@ -33,8 +33,9 @@ from adaptmg.discrete.elasticity import (
     plane_gradients,
     solid_gradients,
 )
-from adaptmg.discrete.facets import area_vectors, named_facets
+from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
 from adaptmg.discrete.loads import body_elements, load_density
+from adaptmg.discrete.springs import foundation
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate.adjoint import LinearisedContact
 from adaptmg.geometry.quadrature import (
@@ -46,7 +47,7 @@ from adaptmg.geometry.quadrature import (
 )
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.loads import BodyForce, InitialStrain
+from adaptmg.problem.loads import BodyForce, InitialStrain, Spring
 from adaptmg.smoother.system import ContactState as State
 
 __all__ = ["BubbleError", "BubbleSpaces", "EdgeBubbles", "bubble_error", "bubble_spaces", "edge_bubbles"]
@@ -92,6 +93,12 @@ class EdgeBubbles:
         dim = self.mesh.dim
         blocks, actions = np.zeros((len(self.edges), dim, dim)), np.zeros((len(fields), len(self.edges), dim))
         add_bubbles(*self._elements, np.ascontiguousarray(fields), blocks, actions)
+        for spring in (one for one in self.problem.supports if isinstance(one, Spring)):
+            facets = named_facets(self.mesh, spring.boundary)
+            vectors = area_vectors(self.mesh.points, facets)
+            stiffness = foundation(spring, self.mesh.points[facets], vectors / np.linalg.norm(vectors, axis=1)[:, None])
+            for action, nodal in zip(actions, fields, strict=True):
+                action += self.boundary_work(facets, np.einsum("fkij,fkj->fki", stiffness, nodal[facets]))
         return blocks, actions
 
     def stiffness(self, values: np.ndarray) -> np.ndarray:
@@ -348,7 +355,7 @@ def bubble_spaces(bubbles: EdgeBubbles, contact: LinearisedContact) -> BubbleSpa
     trial[surface], test[surface] = 0.0, 0.0
     trial[surface, :, 1:] = tangents.transpose(0, 2, 1)
     test[surface, :, 1:] = (tangents + share[:, :, None] * normal[:, None, :]).transpose(0, 2, 1)
-    for support in problem.supports:
+    for support in boundary_supports(mesh, problem.supports):
         edges = np.unique(bubbles.of_facets(mesh.boundary_facets(support.boundary)))
         for k, value in enumerate(support.components(dim)):
             if value is not None:

@@ -19,8 +19,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
+from adaptmg._text import shortened
 
 if TYPE_CHECKING:
     from adaptmg.hierarchy import Hierarchy
@@ -48,6 +50,12 @@ class Estimate:
         Of a goal: the quantity of the discrete solution, and the estimate of exact minus discrete value.
     energy_error : float, optional
         Of a goal: an estimated relative energy error, by which tolerances of solvers are chosen.
+
+    Examples
+    --------
+    >>> estimate = am.Estimate(squares=[9.0, 16.0], norm=50.0)
+    >>> estimate.total, estimate.relative
+    (5.0, 0.1)
     """
 
     squares: np.ndarray
@@ -57,6 +65,11 @@ class Estimate:
     value: float | None = None
     signed: float | None = None
     energy_error: float | None = None
+
+    if TYPE_CHECKING:
+        def __init__(self, *, squares: ArrayLike, norm: float, indicator: str = "", terms: Mapping[str, float] = ...,
+                     value: float | None = None, signed: float | None = None,
+                     energy_error: float | None = None) -> None: ...
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "squares", _checked_squares("squares", self.squares))
@@ -92,6 +105,9 @@ class Estimate:
         return self.relative if self.energy_error is None else self.energy_error
 
     def __repr__(self) -> str:
+        return shortened(str(self))
+
+    def __str__(self) -> str:
         lines = [f"Estimate by {self.indicator or 'an indicator'}: {len(self.squares)} elements"]
         if self.signed is None:
             lines.append(f"  total {self.total:.4g} sqrt(N m), relative {self.relative:.3%} of "
@@ -168,6 +184,11 @@ class Doerfler:
     ----------
     theta : float
         Share of the sum of squares, above 0 and at most 1.
+
+    Examples
+    --------
+    >>> am.Doerfler(0.3).theta
+    0.3
     """
 
     theta: float = 0.5
@@ -200,6 +221,11 @@ class Maximum:
     ----------
     theta : float
         Share of the largest square, above 0 and at most 1.
+
+    Examples
+    --------
+    >>> am.Maximum(0.5).theta
+    0.5
     """
 
     theta: float = 0.5

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._runtime import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import named_facets
 from adaptmg.estimate.adjoint import AdjointSolution, adjoint_system, linearised_contact
@@ -57,6 +58,14 @@ class Goal:
     The signed estimate contains the algebraic error, as far as it leaves the contact state unchanged. It is of first
     order in the residual: ``energy_error`` of the estimate, by which solvers are stopped, is the energy error that has
     as large a part in the quantity as the discretisation has, and not the energy error of the discretisation.
+
+    Examples
+    --------
+    >>> goal = am.Goal(am.ContactForce("contact", "normal"))
+    >>> problem = am.cases.greco_bar()
+    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=goal, max_nodes=30))
+    >>> step.estimate.value > 0                                       # N/m
+    True
     """
 
     quantity: Quantity | Sequence[Quantity]
@@ -75,6 +84,7 @@ class Goal:
         """All of them."""
         return tuple(self.quantity) if isinstance(self.quantity, (list, tuple)) else (self.quantity,)
 
+    @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> GoalEstimate:
         """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import shortened
 from adaptmg.discrete.facets import area_vectors, shape_integrals
 from adaptmg.estimate.adjoint import LinearisedContact
 from adaptmg.estimate.edge_bubbles import EdgeBubbles
@@ -79,6 +80,14 @@ class GoalEstimate(Estimate):
     """An estimate of the error of quantities of interest.
 
     Arrays (n,) and tuples have an entry for each quantity.
+
+    Examples
+    --------
+    >>> goal = am.Goal(am.Opening("contact"))
+    >>> problem = am.cases.greco_bar()
+    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=goal, max_nodes=30))
+    >>> len(step.estimate.values)
+    1
     """
 
     names: tuple[str, ...]
@@ -97,6 +106,9 @@ class GoalEstimate(Estimate):
         return self.values + self.errors
 
     def __repr__(self) -> str:
+        return shortened(str(self))
+
+    def __str__(self) -> str:
         lines = [f"Estimate by {self.indicator}: {len(self.squares)} elements, estimated relative energy error "
                  f"{self.discretisation:.3%}"]
         width = max(map(len, self.names))

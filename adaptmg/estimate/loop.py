@@ -39,12 +39,11 @@ from adaptmg.estimate.step import (
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import LoadPath, step_problem
-from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.advice import once
 from adaptmg.solver.load_path import PathResult, solve_path
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, WarmMultigrid
 from adaptmg.solver.record import Solver
 from adaptmg.solver.result import Result
-from adaptmg.solver.single_grid import SingleGrid
 from adaptmg.solver.solve import solve
 from adaptmg.transfer.interpolation import size_ratio
 
@@ -110,6 +109,7 @@ class AdaptiveLoop:
         self.clock.seconds |= start.timings
         self.done: list[Step] = []
         self.steering: Estimate | None = None
+        self.said: set[str] = set()  # kinds of warnings, each given once in the loop
 
     def steps(self) -> Iterator[Step]:
         """The steps, those of the store first."""
@@ -201,7 +201,7 @@ class AdaptiveLoop:
         """Solve, estimate and store a step."""
         number, last, parts = len(self.done), self.done[-1] if self.done else None, self.parts
         self._report("solve", hierarchy.finest.n_nodes)
-        with self.clock.phase("solve"):
+        with once(self.said), self.clock.phase("solve"):
             if parts.load_path is None:
                 path, result = None, solved(hierarchy, parts.solver, last, start)
             else:
@@ -263,8 +263,6 @@ class AdaptiveLoop:
                        "expected_seconds": float("nan") if last is None else expected_seconds(self.done, self.limits)})
 
 
-#: dofs up to which a first mesh that stands alone is factorised
-_FACTORISED = 60_000
 #: the rate of the first cycle is taken for at least this, and for at most that (measured: strong singularities and
 #: pairs have .35 to .6, others .05 to .33; with .3 for one body a flat punch kept .18 of its estimate, with .5 .07)
 _RATE, _SLOWEST = 0.5, 0.9
@@ -275,8 +273,7 @@ def solved(hierarchy: Hierarchy, solver: Solver | None, before: Step | None, sta
     if solver is not None and _applies(solver, hierarchy):
         return solve(hierarchy, solver, start=None if isinstance(solver, FullMultigrid) else start)
     if len(hierarchy) == 1:
-        direct = hierarchy.finest.discrete.n_dofs <= _FACTORISED
-        return solve(hierarchy, ActiveSet() if direct else SingleGrid(), start=start)
+        return solve(hierarchy, start=start)
     if before is None or start is None:
         return solve(hierarchy, FullMultigrid(rtol="discretisation"))
     rtol = algebraic_tolerance(expected_estimate(before, hierarchy.finest.n_nodes, before.result.dim))

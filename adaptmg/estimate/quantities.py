@@ -20,6 +20,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.estimate.goal_view import Functional, GoalView
@@ -55,11 +56,18 @@ class Displacement:
     component : 0, 1, 2 or "x", "y", "z"
     body : str, optional
         Of which body; where two touch, a point lies in both.
+
+    Examples
+    --------
+    >>> am.Goal(am.Displacement((0.0, 0.04), "x")).quantity.component
+    'x'
     """
 
     points: Sequence[float] | Sequence[Sequence[float]]
     component: int | str
     body: str | None = None
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         try:
@@ -115,6 +123,11 @@ class MeanDisplacement:
     ----------
     boundary : str
     component : 0, 1, 2 or "x", "y", "z"
+
+    Examples
+    --------
+    >>> am.Goal(am.MeanDisplacement("top", "y")).quantity.boundary
+    'top'
     """
 
     boundary: str
@@ -170,6 +183,11 @@ class ContactForce:
         "normal": the sum of the compressive nodal forces; "tangential" (2D): that of the tangential forces on the
         slave, along the normal turned by +90 degrees; 0, 1, 2 or "x", "y", "z": the component of the force on the body
         of this boundary.
+
+    Examples
+    --------
+    >>> am.Goal(am.ContactForce("contact", "normal")).quantity.direction
+    'normal'
     """
 
     boundary: str = "contact"
@@ -223,6 +241,11 @@ class Opening:
         A contact boundary, or the slave or name ("slave on master") of a pair.
     point : (dim,) array-like, optional
         On the boundary, m. Default: the mean, weighted with the lumped masses of the contact nodes.
+
+    Examples
+    --------
+    >>> am.Goal(am.Opening("contact", point=(0.0, 0.0))).quantity.point
+    (0.0, 0.0)
     """
 
     boundary: str = "contact"

@@ -21,13 +21,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.elasticity import stiffness
+from adaptmg.discrete.facets import boundary_supports, supported_nodes
 from adaptmg.discrete.loads import load_vector
+from adaptmg.discrete.springs import supported_stiffness
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.estimate.stress_fields import posed
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.loads import PointSupport
 from adaptmg.solver.result import Result
 from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
 
@@ -123,7 +125,8 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
                          f"{', '.join(reference.points)}: give results of one problem")
     reference.problem.check_boundaries(mesh.boundaries)
     u = result.displacement.reshape(-1)
-    own = float(u @ (stiffness(mesh, reference.problem.material) @ u))
+    posed_by = reference.problem
+    own = float(u @ (supported_stiffness(mesh, posed_by.material, posed_by.supports) @ u))
     squared = reference.energy - 2 * reference.against(result) + own + reference.own_error**2
     if -_RESOLVED * reference.energy <= squared < 0:
         squared = 0.0
@@ -151,8 +154,9 @@ def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
     NaN elsewhere: of a function of position a coarse mesh has its own interpolant.
     """
     result = np.full(mesh.points.shape, np.nan)
-    for support in problem.supports:
-        nodes = mesh.boundary_nodes(support.boundary)
+    for support in (*boundary_supports(mesh, problem.supports),
+                    *(one for one in problem.supports if isinstance(one, PointSupport))):
+        nodes = supported_nodes(mesh, support)
         for d, value in enumerate(support.components(mesh.dim)):
             if value is not None and not callable(value):
                 result[nodes, d] = value

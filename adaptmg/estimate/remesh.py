@@ -27,8 +27,8 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import kernel
+from adaptmg.discrete.recovery import elements_of_nodes
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.stress_fields import elements_of_nodes
 from adaptmg.geometry.location import SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
@@ -68,6 +68,11 @@ class Remesh:
         Netgen makes a mesh of :math:`2^{-dk}` of the nodes, which is refined k times uniformly. One refinement takes a
         third of the time for up to 11 % more error on coarse meshes (flat punch, 1 000 nodes; none at 26 000, 0 to 6 %
         on dovetail and junction); take 0 for goals. With more, sizes grow more slowly.
+
+    Examples
+    --------
+    >>> am.Remesh(growth=2.0).growth
+    2.0
     """
 
     growth: float = 2.5

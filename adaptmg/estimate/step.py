@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.goal_view import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
@@ -21,6 +22,9 @@ from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem import ContactProblem
 from adaptmg.solver.load_path import PathResult
 from adaptmg.solver.result import Result
+
+if TYPE_CHECKING:
+    import pandas
 
 __all__ = ["Engine", "Limits", "Step", "algebraic_tolerance", "expected_estimate", "expected_seconds", "settled",
            "sound_mesh"]
@@ -47,7 +51,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Step:
-    """A mesh of the adaptive loop, solved and estimated; printing it shows a line of a table.
+    """A mesh of the adaptive loop, solved and estimated; printing it shows a line that names its columns.
 
     Attributes
     ----------
@@ -73,9 +77,16 @@ class Step:
         printed before the estimate, and the loop does not end by ``tolerance``. None for energy norms.
     outcome : str
         Why the loop stopped after this step; empty as long as it has not.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=20))
+    >>> steps[0].nodes < steps[-1].nodes
+    True
     """
 
-    #: heading of the lines that steps print
+    #: heading of the rows of steps
     HEADER: ClassVar[str] = (f"{'step':>4} {'nodes':>8} {'levels':>6} {'contact':>7} {'estimate':>9} {'cycles':>6} "
                              f"{'work':>6} {'in all':>6} {'seconds':>8} {'in all':>8}")
 
@@ -102,6 +113,32 @@ class Step:
         return float(sum(self.timings.values()))
 
     def __repr__(self) -> str:
+        doubtful = " (?)" if self.settled is False else ""
+        text = (f"step {self.number:>2}: {self.nodes:>7} nodes, {len(self.hierarchy):>2} levels, estimate "
+                f"{self.estimate.relative:>7.3%}{doubtful}, {self.result.cycles:>3} cycles, {self.work_units:>6.1f} "
+                f"work units ({self.total_work_units:.1f} in all), {self.seconds:.3g} s ({self.total_seconds:.3g} s "
+                "in all)")
+        return shortened(f"{text}; {self.outcome}" if self.outcome else text)
+
+    def _repr_html_(self) -> str:
+        return html_table(self.table([self])) + in_html_lines(self.outcome)
+
+    @staticmethod
+    def table(steps: Sequence[Step]) -> pandas.DataFrame:
+        """Return one row a step, with units in the heads: ``am.Step.table(list(am.adapt(...)))``."""
+        import pandas
+
+        return pandas.DataFrame([
+            {"step": step.number, "nodes": step.nodes, "levels": len(step.hierarchy),
+             "contact_nodes": len(step.result.contact), "estimate": step.estimate.relative,
+             "status": step.result.status.name, "cycles": step.result.cycles, "work_units": step.work_units,
+             "total_work_units": step.total_work_units, "seconds [s]": step.seconds,
+             "total_seconds [s]": step.total_seconds, "pressure [Pa]": step.result.max_pressure}
+            for step in steps])
+
+    @property
+    def row(self) -> str:
+        """A line of the table under ``HEADER``."""
         estimate = f"{'?' if self.settled is False else ''}{self.estimate.relative:.3%}"
         line = (f"{self.number:>4} {self.nodes:>8} {len(self.hierarchy):>6} {len(self.result.contact):>7} "
                 f"{estimate:>9} {self.result.cycles:>6} {self.work_units:>6.1f} "

@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import inner_kernel, kernel
-from adaptmg.discrete.elasticity import body_materials, list_elements
+from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
@@ -25,7 +25,7 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.examine import energy_norm, euclidean_norm
 from adaptmg.solver.result import Result
 
-__all__ = ["ElementStress", "Neighbours", "Posed", "element_stress", "elements_of_nodes", "neighbours", "posed"]
+__all__ = ["ElementStress", "Neighbours", "Posed", "element_stress", "neighbours", "posed"]
 
 _THIN = 1
 
@@ -204,13 +204,6 @@ def find_neighbours(elements, facets, start, codes, highs, sums, across, owner, 
             if owner[f] < 0 and highs[a] == high and sums[a] == total:
                 owner[f] = codes[a] // k
                 corner[f] = codes[a] % k
-
-
-def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Elements of each node, ascending, in compressed rows: of node i ``listed[start[i]:start[i + 1]]``."""
-    start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
-    list_elements(elements, start, listed)
-    return start, listed
 
 
 #: relative difference of loads that agree; those of the result are exact to rounding

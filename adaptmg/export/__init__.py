@@ -22,3 +22,7 @@ def __getattr__(name: str) -> object:
 
         return getattr(importlib.import_module(_WHERE[name]), name)
     raise AttributeError(f"module 'adaptmg.export' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -275,6 +275,10 @@ class Report:
     max_open : int
         The largest number of open tables, those of the first screen included: those with ``open=True``, then the first
         of each section without.
+
+    Examples
+    --------
+    >>> report = am.export.Report("A bar on a plane", "What was computed, and how.")
     """
 
     def __init__(self, title: str, summary: str = "", *, terms: str = "", max_open: int = 15) -> None:

@@ -64,6 +64,13 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
         Name of a CSV file of the table next to the report, for a link.
     made : mapping of str to str, optional
         Facts on the origin of the runs: machine, commit, seeds.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> table = pd.DataFrame({"sweeps": [1, 2], "cycles": [14, 9]})
+    >>> am.export.study_report(table, "study.html", parameters=["sweeps"]).name
+    'study.html'
     """
     checks.instance("table", table, pd.DataFrame, "a pandas DataFrame")
     parameters, hidden = _columns("parameters", parameters, table), _columns("hidden", hidden, table)

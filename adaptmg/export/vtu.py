@@ -42,7 +42,13 @@ _CELLS = {2: 5, 3: 10}
 
 
 def vtk(result: Result, path: str | os.PathLike[str]) -> None:
-    """Write a result with a mesh to a ``.vtu`` file, which appears complete or not at all; see the module."""
+    """Write a result with a mesh to a ``.vtu`` file, which appears complete or not at all; see the module.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> am.export.vtk(result, "bar.vtu")                               # opens in ParaView
+    """
     target = checks.file_path("path", path)
     if target.suffix != ".vtu":
         raise ValueError(f"path must end in .vtu, got {os.fspath(path)!r}")
@@ -62,6 +68,13 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         it (``run_0000.vtu``, ...). It is written last, so that all it lists is there.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ...
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}))
+    >>> am.export.vtk_series(list(steps), "bar.pvd").name
+    'bar.pvd'
     """
     results = list(results)
     if not results:

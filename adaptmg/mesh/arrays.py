@@ -12,10 +12,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._text import shortened
+from adaptmg.mesh.picture import svg
 
 if TYPE_CHECKING:
     import ngsolve
@@ -99,6 +102,13 @@ class MeshArrays:
     refinement : Refinement or None
         The history of a bisected mesh, which further bisection and coarsening need. Pickled, but not saved in a result;
         a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
+
+    Examples
+    --------
+    >>> triangle = am.MeshArrays(points=[[0, 0], [1, 0], [0, 1]], elements=[[0, 1, 2]], facets=[[0, 1], [1, 2], [2, 0]],
+    ...                          facet_labels=[0, 1, 1], boundaries=("bottom", "rest"))
+    >>> triangle.n_nodes, triangle.dim
+    (3, 2)
     """
 
     points: np.ndarray
@@ -112,6 +122,11 @@ class MeshArrays:
     sound: bool = field(default=False, init=False, repr=False)
     refinement: Refinement | None = field(default=None, init=False, repr=False)
 
+    if TYPE_CHECKING:
+        def __init__(self, points: ArrayLike, elements: ArrayLike, facets: ArrayLike, facet_labels: ArrayLike,
+                     boundaries: tuple[str, ...], element_body: ArrayLike | None = None,
+                     bodies: tuple[str, ...] = ("body",), source: ngsolve.Mesh | None = None) -> None: ...
+
     def __post_init__(self) -> None:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
                             ("facet_labels", np.int32)):
@@ -120,6 +135,14 @@ class MeshArrays:
         object.__setattr__(self, "element_body", _frozen("element_body", body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
+
+    def __repr__(self) -> str:
+        kind = "triangles" if self.dim == 2 else "tetrahedra"
+        return shortened(f"MeshArrays: {self.n_nodes} nodes, {len(self.elements)} {kind}; bodies "
+                         f"{', '.join(self.bodies)}; boundaries {', '.join(self.boundaries)}")
+
+    def _repr_svg_(self) -> str | None:
+        return svg(self.points, self.elements, self.facets)
 
     def __reduce__(self) -> tuple:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back

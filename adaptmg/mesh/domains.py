@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
-from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
+from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle, distance_to_segments
+from adaptmg.problem.solid_domains import Assembly, Combination, SolidDomain, StepFile
 
 __all__ = ["BOX_SIDES", "boundary_measures", "check_domain", "distance_to_boundaries", "distance_to_segments",
-           "extent", "plane_measures", "require_simple"]
+           "extent", "in_edges", "plane_measures", "require_simple"]
 
 #: axis, and lower (0) or upper (1) end of it; the vertical axis of a rectangle is its last one
 BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
@@ -27,7 +27,7 @@ def distance_to_boundaries(domain: Rectangle | Polygon | Outline | Box, boundari
         return distance
     curved = isinstance(domain, Outline)
     start = np.array(domain.vertices if curved else domain.polygon.vertices)
-    end = np.roll(start, -1, axis=0)
+    end = start[domain.following] if curved else np.roll(start, -1, axis=0)
     for i, (name, a, b) in enumerate(zip(domain.boundaries, start, end, strict=True)):
         if name in boundaries and curved and i in domain.arcs:
             distance = np.minimum(distance, domain.arc(i).distance(points))
@@ -65,21 +65,30 @@ def plane_measures(domain: Rectangle | Polygon | Outline) -> tuple[float, dict[s
     return area, perimeter
 
 
+def in_edges(domain: Domain) -> Domain:
+    """A circle, or plane domains combined, as the outline that is meshed; every other domain itself."""
+    plane = isinstance(domain, Circle) or (isinstance(domain, Combination) and domain.dim == 2)
+    return domain.outline if plane else domain
+
+
 def check_domain(domain: Domain) -> None:
     """TypeError or ValueError unless it is a domain that can be meshed."""
+    domain = in_edges(domain)
     if isinstance(domain, Polygon | Outline):
         require_simple(domain)
     elif not isinstance(domain, Rectangle | Box | SolidDomain | StepFile | Assembly):
-        raise TypeError("domain must be a Rectangle, a Polygon, an Outline, a Box or another solid, an Assembly of "
-                        f"these, or a StepFile, got {domain!r}")
+        raise TypeError("domain must be a Rectangle, a Polygon, an Outline, a Circle, a Box or another solid, a Cut or "
+                        f"Fuse, an Assembly of these, or a StepFile, got {domain!r}")
 
 
 def require_simple(outline: Polygon | Outline) -> None:
     """ValueError if edges of an outline cross, touch, or have no length; arcs as chords of at most 3 degrees."""
-    a, owner = outline.chords() if isinstance(outline, Outline) else (np.array(outline.vertices), None)
-    b = np.roll(a, -1, axis=0)
-    n = len(a)
-    owner = np.arange(n) if owner is None else owner
+    if isinstance(outline, Outline):
+        a, owner, after = outline.chords()
+    else:
+        a, owner = np.array(outline.vertices), np.arange(len(outline.vertices))
+        after = np.roll(owner, -1)
+    b = a[after]
     what = type(outline).__name__.lower()
 
     def edge_name(k: int) -> str:
@@ -89,17 +98,17 @@ def require_simple(outline: Polygon | Outline) -> None:
     tiny = 1e-12 * np.ptp(a, axis=0).max()
     if not lengths.min() > tiny:
         raise ValueError(f"vertices: edge {edge_name(int(np.argmin(lengths)))} of the {what} has no length")
-    edge, following = b - a, np.roll(b - a, -1, axis=0)
+    edge, following = b - a, (b - a)[after]
     turn = edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0]
-    folded = (np.abs(turn) <= 1e-12 * lengths * np.roll(lengths, -1)) & ((edge * following).sum(axis=1) < 0)
+    folded = (np.abs(turn) <= 1e-12 * lengths * lengths[after]) & ((edge * following).sum(axis=1) < 0)
     if folded.any():
         i = int(np.argmax(folded))
         raise ValueError(f"vertices: edge {edge_name(i)} of the {what} folds back on itself at "
                          f"{tuple(b[i].tolist())}")
-    i, j = np.triu_indices(n, 2)
-    apart = (i != 0) | (j != n - 1)
+    i, j = np.triu_indices(len(a), 1)
+    apart = (after[i] != j) & (after[j] != i)
     i, j = i[apart], j[apart]
-    distance = _apart(a, i, j)
+    distance = _apart(a, b, i, j)
     crossing = (_side(a[i], b[i], a[j]) * _side(a[i], b[i], b[j]) < 0) & (
         _side(a[j], b[j], a[i]) * _side(a[j], b[j], b[i]) < 0)
     bad = crossing | (distance <= tiny) if len(i) else np.zeros(0, dtype=bool)
@@ -109,9 +118,8 @@ def require_simple(outline: Polygon | Outline) -> None:
                          "must not cross itself")
 
 
-def _apart(a: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """Distance between edges i and j (m,) of a closed polygon of corners a (n, 2); they must not cross."""
-    b = np.roll(a, -1, axis=0)
+def _apart(a: np.ndarray, b: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """Distance between edges i and j (m,) of those from a to b (n, 2); they must not cross."""
     # it is reached at an end of one of them
     pairs = ((a[j], i), (b[j], i), (a[i], j), (b[i], j))
     return np.min([distance_to_segments(p, a[k], b[k]) for p, k in pairs], axis=0)
@@ -121,11 +129,3 @@ def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Positive where c lies to the left of the line from a to b."""
     u, v = b - a, c - a
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-
-
-def distance_to_segments(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance (n,) of points (n, 2) to one segment, or to one segment each."""
-    u = b - a
-    along = (p - a) @ u / (u @ u) if u.ndim == 1 else np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1)
-    along = np.clip(along, 0.0, 1.0)
-    return np.linalg.norm(p - a - along[:, None] * u, axis=1)

@@ -24,7 +24,7 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.bisection.tables import as_initial
-from adaptmg.mesh.domains import check_domain, distance_to_boundaries, plane_measures
+from adaptmg.mesh.domains import check_domain, distance_to_boundaries, in_edges, plane_measures
 from adaptmg.mesh.drafted import drafted
 from adaptmg.mesh.netgen_guard import NetgenUnfinished, netgen
 from adaptmg.mesh.netgen_plane import (
@@ -68,7 +68,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
 
     Parameters
     ----------
-    domain : Rectangle, Polygon, Outline, Box, Cylinder, Cut or another solid, Assembly of these, or StepFile
+    domain : Rectangle, Polygon, Outline, Circle, Box, Cylinder, Cut, ..., Assembly of these, or StepFile
         What to mesh. A StepFile is treated like an assembly of its solids.
     size : float; of an assembly also a mapping of str to float
         Edge length far from contact, m; a mapping names each body.
@@ -96,8 +96,15 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     TypeError, ValueError
         On an unknown domain or boundary, sizes <= 0, a ratio < 1, an outline that crosses itself, sizes that ask for
         more than 5 million nodes (3D: 2 million), or where Netgen fails or does not finish.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.graded(am.Rectangle(width=1, height=1), 0.5, "bottom", contact_ratio=2)
+    >>> mesh.dim
+    2
     """
     check_domain(domain)
+    domain = in_edges(domain)
     names = (contact_boundaries,) if isinstance(contact_boundaries, str) else tuple(contact_boundaries)
     if isinstance(domain, StepFile):
         return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), growth(grading))
@@ -225,8 +232,15 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     ------
     TypeError, ValueError
         On an unknown domain, sizes <= 0 or not finite, or as :func:`graded`.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.sized(am.Rectangle(width=1, height=1), lambda x: 0.1 + x[:, 0], max_size=0.5)
+    >>> mesh.n_nodes > 10
+    True
     """
     check_domain(domain)
+    domain = in_edges(domain)
     if isinstance(domain, StepFile):
         return step_mesh(domain, max_size, None, growth(grading), size_function)
     if isinstance(domain, Assembly):
@@ -272,6 +286,7 @@ def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArra
 def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
     """Area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of each boundary by its name."""
     check_domain(domain)
+    domain = in_edges(domain)
     if isinstance(domain, Assembly):
         found = {body: measures(part) for body, part in domain.parts.items()}
         return ([volume for volumes, _ in found.values() for volume in volumes],

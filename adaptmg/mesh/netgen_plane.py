@@ -220,7 +220,7 @@ def onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
             offset = points[nodes] - np.array(arc.center)
             points[nodes] = np.array(arc.center) + offset * (arc.radius / np.linalg.norm(offset, axis=1))[:, None]
             continue
-        first, last = vertices[i], vertices[(i + 1) % len(vertices)]
+        first, last = vertices[i], vertices[domain.following[i]]
         points[nodes[:, None], np.flatnonzero(first == last)] = first[first == last]
     for i, vertex in enumerate(vertices):
         nodes = mesh.boundary_nodes(str(i))

@@ -138,6 +138,11 @@ def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[s
     TypeError, ValueError
         On an unknown domain or boundary, sizes <= 0 or not finite, more than 2 million nodes, or where OCC or Netgen
         fails or does not finish.
+
+    Examples
+    --------
+    >>> am.mesh.solid_mesh(am.Box(width=1, depth=1, height=1), 1.0).dim
+    3
     """
     if not isinstance(domain, SolidDomain | Box):
         raise TypeError(f"domain must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), got {domain!r}")

@@ -178,10 +178,11 @@ def _spline_geometry(domain: Rectangle | Polygon | Outline, lower: np.ndarray, s
     curved = isinstance(domain, Outline)
     vertices = domain.vertices if curved else domain.polygon.vertices
     corners = [geometry.AppendPoint(*place) for place in (np.array(vertices) - lower) / scale]
+    following = domain.following if curved else np.roll(np.arange(len(corners)), -1)
     for i, name in enumerate(domain.boundaries):
         options = {"leftdomain": 1, "rightdomain": 0, "bc": str(i) if curved else name,
                    "maxh": sides.get(name, _NO_LIMIT)}
-        first, last = corners[i], corners[(i + 1) % len(corners)]
+        first, last = corners[i], corners[following[i]]
         arc = domain.arc(i) if curved else None
         if arc is None:
             geometry.Append(["line", first, last], **options)

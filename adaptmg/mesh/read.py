@@ -60,6 +60,12 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     ------
     TypeError, FileNotFoundError, ValueError
         If it is none of these, there is no such file, it cannot be read, or it is not sound (:func:`check_mesh`).
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> am.mesh.as_mesh(mesh) is mesh
+    True
     """
     if isinstance(mesh, MeshArrays):
         return check_mesh(mesh) if _fits(mesh) else check_stranger(mesh)
@@ -118,6 +124,12 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     TypeError, ValueError
         If it is no NGSolve mesh; on other elements, curved or of second order, a deformation, periodic boundaries,
         dimensions other than 2 and 3, or a mesh that is not sound (:func:`adaptmg.mesh.check_mesh`).
+
+    Examples
+    --------
+    >>> mesh = am.mesh.graded(am.Rectangle(width=1, height=1), 0.5)
+    >>> am.mesh.from_ngsolve(mesh.source).n_nodes == mesh.n_nodes
+    True
     """
     import ngsolve
 
@@ -181,6 +193,30 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
     FileNotFoundError, ValueError
         If there is no such file; if it cannot be read, has other elements, is not plane, lacks physical groups, or is
         not sound (:func:`adaptmg.mesh.check_mesh`).
+
+    Examples
+    --------
+    A Gmsh script names what a problem speaks of. Curves become boundaries, the surface a body::
+
+        SetFactory("OpenCASCADE");
+        Rectangle(1) = {0, 0, 0, 0.2, 0.1};
+        Disk(2) = {0.1, 0.05, 0, 0.02};
+        BooleanDifference(3) = { Surface{1}; Delete; }{ Surface{2}; Delete; };
+        Physical Curve("hole") = {5};
+        Physical Curve("bottom") = {6};     // Tools > Visibility shows the numbers
+        Physical Curve("left") = {7};
+        Physical Curve("top") = {8};
+        Physical Curve("right") = {9};
+        Physical Surface("plate") = {3};
+
+    ``gmsh -2 -clmax 0.01 plate.geo -o fine.msh`` meshes it. Then the names are those of the problem, which needs no
+    domain: ``am.Contact("bottom", ...)``, ``am.Pressure("top", ...)``, ``material={"plate": ...}`` or one for all;
+
+    >>> problem = am.ContactProblem(material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Coulomb(0.3),
+    ...                             contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))),
+    ...                             loads=[am.Pressure("top", 5e7)], supports=[am.Symmetry("left")])
+    >>> grids = am.Hierarchy.from_meshes(problem, ["coarse.msh", "fine.msh"])      # doctest: +SKIP
+    >>> am.plot.problem(problem, mesh=grids.finest.mesh)                           # doctest: +SKIP
     """
     path = _file("path", path)
     if unnamed is not None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.domains import extent
+from adaptmg.mesh.domains import extent, in_edges
 from adaptmg.mesh.drafted import onto_arcs
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_guard import MAX_NODES, Netgen, NetgenUnfinished, netgen
@@ -85,6 +85,7 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, gra
     if isinstance(domain, StepFile):
         return _step(domain, sizes, grading, refinements)
     checks.instance("sizes", sizes, PointSizes)
+    domain = in_edges(domain)
     if isinstance(domain, SolidDomain):
         with netgen() as worker:
             shape = built_shape(worker, domain)

@@ -14,6 +14,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 
 __all__ = ["SizeNear"]
 
@@ -33,6 +34,12 @@ class SizeNear:
     grading : float
         Growth of the edge length per distance beyond, above 0 and at most 1 (the smaller, the surer a single point
         is found in a coarse mesh: take 0.5 at most).
+
+    Examples
+    --------
+    >>> size = am.SizeNear([(0.0, 0.0)], size=1e-3, radius=5e-3)
+    >>> size.size
+    0.001
     """
 
     points: Sequence[Sequence[float]]
@@ -40,6 +47,8 @@ class SizeNear:
     size: float
     radius: float = 0.0
     grading: float = 0.3
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         given = checks.listed("points", self.points, "points")

@@ -50,6 +50,12 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
         If it is not MeshArrays. No elements; wrong shapes; a node number out of range; an inverted or degenerate
         element; an unused node; a fold (two neighbours on the same side of their facet); a hole; a boundary facet
         inside the mesh, given twice, or oriented inwards; a missing boundary; a body of several pieces.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.check_mesh(am.mesh.structured(am.Rectangle(width=1, height=1), 2), ["bottom"])
+    >>> mesh.n_nodes
+    9
     """
     if not isinstance(mesh, MeshArrays):
         raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}; as_mesh converts")
@@ -175,7 +181,14 @@ def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshQuality:
-    """Shape and size of the elements of a mesh."""
+    """Shape and size of the elements of a mesh.
+
+    Examples
+    --------
+    >>> quality = am.mesh.quality(am.mesh.structured(am.Rectangle(width=1, height=1), 2))
+    >>> round(quality.h_max, 3)
+    0.707
+    """
 
     min_angle: float  # degrees; in 3D dihedral angles
     max_angle: float
@@ -185,7 +198,13 @@ class MeshQuality:
 
 
 def quality(mesh: MeshArrays) -> MeshQuality:
-    """Measure the elements of a sound mesh."""
+    """Measure the elements of a sound mesh.
+
+    Examples
+    --------
+    >>> round(am.mesh.quality(am.mesh.structured(am.Rectangle(width=1, height=1), 2)).min_angle)
+    45
+    """
     dim = mesh.dim
     corners = mesh.points[mesh.elements]
     edges = np.stack([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(dim + 1) for j in range(i)])

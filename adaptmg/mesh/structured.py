@@ -56,6 +56,11 @@ def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mappin
     TypeError, ValueError
         On another domain, divisions below 1, more nodes than the main memory holds or can be
         numbered (3D: 2 million), a body left out, or an unknown diagonal.
+
+    Examples
+    --------
+    >>> am.mesh.structured(am.Rectangle(width=1, height=1), 4).n_nodes
+    25
     """
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
@@ -74,8 +79,8 @@ def lattice_nodes(domain: Rectangle | Box | Assembly, divisions: Divisions | Map
 def _counts(domain: Rectangle | Box, divisions: Divisions) -> tuple[int, ...]:
     """Cells along each axis; what cannot be divided so is refused."""
     if not isinstance(domain, Rectangle | Box):
-        raise TypeError(f"domain must be a Rectangle or a Box, or an Assembly of them, got {domain!r}; graded meshes "
-                        "other domains")
+        raise TypeError("structured grids are made of a Rectangle or a Box, or an Assembly of them, got "
+                        f"{checks.described(domain)}; graded meshes other domains (Hierarchy.graded)")
     if isinstance(divisions, Mapping):
         raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
     return _divisions(divisions, domain.dim)
@@ -195,6 +200,13 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
     TypeError, ValueError
         If ``meshes`` is empty or no mapping, on names with ".", meshes of several bodies, of different dimensions, or
         that are not sound (:func:`adaptmg.mesh.check_mesh`).
+
+    Examples
+    --------
+    >>> block = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> below = am.mesh.structured(am.Rectangle(width=1, height=1, origin=(0, -1)), 2)
+    >>> am.mesh.merged({"upper": block, "lower": below}).bodies
+    ('upper', 'lower')
     """
     if not isinstance(meshes, Mapping):
         raise TypeError(f"meshes must map body names to MeshArrays, got {type(meshes).__name__}")

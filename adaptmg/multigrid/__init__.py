@@ -4,3 +4,7 @@ from adaptmg.multigrid.corrections import Monotone, PaperCorrection
 from adaptmg.multigrid.cycle import CoarseSolve, Cycle, NestedStart
 
 __all__ = ["CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection"]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy import sparse
@@ -210,9 +210,18 @@ class Monotone:
     For contact rows of P that are >= 0 with row sums 1, Galerkin coarse matrices and one normal over each S_k the
     coarse functional majorises the fine one, so the energy with g frozen cannot rise, and E = 0 at the solution
     (R. Kornhuber 1994, doi:10.1007/BF03325426; R. Krause 2009, doi:10.1137/070682514). Elsewhere nothing is claimed.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.Multigrid(correction=am.Monotone())).status.name
+    'CONVERGED'
     """
 
-    needs_initial: ClassVar[bool] = False
+    @property
+    def needs_initial(self) -> bool:
+        """Return False."""
+        return False
 
     def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -239,6 +248,13 @@ class PaperCorrection:
     limit : {"initial", "injected", "summed"}
         Sliding limit G: of the first coarse solution (the paper's choice), that of the fine node with the largest
         weight (a nodal force, hence too small on the coarse grid: for comparison), or the sum P'g.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> paper = am.Multigrid(correction=am.PaperCorrection(slip="initial"), max_cycles=5)
+    >>> am.solve(grids, paper, throw=False).cycles <= 5
+    True
     """
 
     gap: str = "smallest"

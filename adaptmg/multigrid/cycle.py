@@ -57,6 +57,11 @@ class Cycle:
         tolerance of the coarse solve (the paper's 'complete resolution').
     pre, post : int
         Smoothing sweeps before and after the coarse correction, not both 0.
+
+    Examples
+    --------
+    >>> am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="W", pre=1, post=1)).cycle.shape
+    'W'
     """
 
     shape: str = "V"
@@ -172,6 +177,11 @@ class CoarseSolve:
         Over-relaxation.
     max_sweeps : int
         Sweeps at most; the last iterate is used.
+
+    Examples
+    --------
+    >>> am.Multigrid(correction=am.Monotone(), coarse=am.CoarseSolve(rtol=1e-3)).coarse.rtol
+    0.001
     """
 
     condensed: bool = True
@@ -246,6 +256,11 @@ class NestedStart:
         one outnumbers ``CHEAP`` times.
     rtol : float
         Tolerance on the coarsest level, and with 'complete' on all levels below the finest.
+
+    Examples
+    --------
+    >>> am.FullMultigrid(start=am.NestedStart(cycles=1)).start.cycles
+    1
     """
 
     #: nodes of the next level over those of this one from which on a second cycle costs less than it saves

@@ -187,12 +187,16 @@ def add_prolonged(zero, indptr, indices, weights, coarse, u):
 
 
 @kernel
-def combine(zero, indptr, indices, weights, coarse, u, first, second, alpha_1, alpha_2):
-    """second = u + alpha_1 (first - u) + alpha_2 (second - u) + P coarse."""
+def combine(zero, indptr, indices, weights, coarse, ring, places, alpha, to):
+    """u + sum of alpha_k (u_k - u) + P coarse, u and four u_k at ``places`` of ``ring``, written to place ``to``."""
+    now, first, second = np.uint64(places[0]), np.uint64(places[1]), np.uint64(places[2])
+    third, fourth, end = np.uint64(places[3]), np.uint64(places[4]), np.uint64(to)
     for node in range(len(indptr) - 1):
         i = np.uint64(node)
         at = np.uint64(len(zero)) * i
-        e = read(u, at, zero)
-        e = add(e, add(scale(alpha_1, subtract(read(first, at, zero), e)),
-                       scale(alpha_2, subtract(read(second, at, zero), e))))
-        write(second, at, _plus_prolonged(i, indptr, indices, weights, coarse, e))
+        u = read(ring, now + at, zero)
+        e = scale(alpha[0], subtract(read(ring, first + at, zero), u))
+        e = add(e, scale(alpha[1], subtract(read(ring, second + at, zero), u)))
+        e = add(e, scale(alpha[2], subtract(read(ring, third + at, zero), u)))
+        e = add(u, add(e, scale(alpha[3], subtract(read(ring, fourth + at, zero), u))))
+        write(ring, end + at, _plus_prolonged(i, indptr, indices, weights, coarse, e))

@@ -136,15 +136,18 @@ class CoarseFactors:
         self._prepared: PreparedSolve | None = None
 
     def renew(self) -> None:
-        matrix = regular_matrix(self.level, self._scale)
+        if self.custom is None and self.level.n_dofs <= self.DENSE:
+            matrix = _regular_dense(self.level, self._scale)
+            self._solve = _dense_factors(matrix, self.SINGULAR) or _dense_factors(
+                matrix + np.diag(self.SHIFT * self._scale), 0.0)
+            return
+        matrix = _regular_sparse(self.level, self._scale)
         if self.custom is not None:
             self._prepared = checks.offers("coarse_solve: what setup returns", self.custom.setup(matrix), "solve",
                                            "an object with solve(rhs) -> solution")
             return
-        factorise = _dense_factors if matrix.shape[0] <= self.DENSE else _sparse_factors
-        self._solve = factorise(matrix, self.SINGULAR)
-        if self._solve is None:
-            self._solve = factorise(matrix + sparse.diags_array(self.SHIFT * self._scale), 0.0)
+        self._solve = _sparse_factors(matrix, self.SINGULAR) or _sparse_factors(
+            matrix + sparse.diags_array(self.SHIFT * self._scale), 0.0)
 
     def solve(self, load: np.ndarray, result: np.ndarray) -> float:
         """Solve into ``result`` (n_dofs,); returns the passes over the matrix, 0 for factors."""
@@ -157,10 +160,10 @@ class CoarseFactors:
         return checks.nonnegative("coarse_solve: passes", getattr(self._prepared, "passes", 0.0))
 
 
-def _dense_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
+def _dense_factors(matrix: np.ndarray, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
     """Solves with a matrix, or None if a pivot is below ``singular`` times the largest."""
     # LAPACK itself: scipy's wrapper warns of what the caller mends
-    factors, pivots, _ = linalg.lapack.dgetrf(matrix.toarray())
+    factors, pivots, _ = linalg.lapack.dgetrf(matrix)
     sizes = np.abs(factors.diagonal())
     if singular and not sizes.min() > singular * sizes.max():
         return None
@@ -211,11 +214,28 @@ class LinearSmoother(Protocol):
         """Prepare for a matrix; see :meth:`LinearSolve.setup`."""
 
 
-def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
+def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.bsr_array:
     """The matrix of a level with entries of ``scale`` (n_dofs,) on the diagonal where rows are empty."""
-    matrix = sparse.csr_array(level.matrix())
-    empty = np.asarray(abs(matrix).sum(axis=1)).reshape(-1) == 0
-    return matrix + sparse.diags_array(np.where(empty, scale, 0.0))
+    matrix = level.matrix()
+    row = np.repeat(np.arange(level.n_nodes), np.diff(matrix.indptr))
+    sizes = np.zeros((level.n_nodes, level.dim))
+    np.add.at(sizes, row, np.abs(matrix.data).sum(axis=2))
+    node, component = np.nonzero(sizes == 0)
+    matrix.data[np.flatnonzero(row == matrix.indices)[node], component, component] = scale[level.dim * node + component]
+    return matrix
+
+
+def _regular_sparse(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
+    matrix = sparse.csr_array(regular_matrix(level, scale))
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def _regular_dense(level: SplitMatrix, scale: np.ndarray) -> np.ndarray:
+    matrix = level.dense()
+    empty = np.flatnonzero(~matrix.any(axis=1))
+    matrix[empty, empty] = scale[empty]
+    return matrix
 
 
 class _LevelSmoother:
@@ -223,7 +243,7 @@ class _LevelSmoother:
 
     def __init__(self, custom: LinearSmoother, level: SplitMatrix) -> None:
         diagonal = level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2).reshape(-1)
-        self.matrix = regular_matrix(level, np.full(level.n_dofs, np.abs(diagonal).max()))
+        self.matrix = _regular_sparse(level, np.full(level.n_dofs, np.abs(diagonal).max()))
         self._smoother = checks.offers("coarse_smoother: what setup returns", custom.setup(self.matrix), "smooth",
                                        "an object with smooth(rhs, x) -> passes")
 

@@ -29,12 +29,17 @@ __all__ = ["RigidContact", "RigidMotions", "null_combinations"]
 
 #: singular values and values of motions that count as zero, relative to the largest
 _ZERO = 1e-10
+#: squares of singular values beyond this, relative to the largest, are none, whatever rounding did to them
+_CLEAR = 1e-6
 
 
 def null_combinations(rows: np.ndarray) -> np.ndarray:
     """Independent columns (k, m) that ``rows`` (n, k) map to zero; entries of a row may differ in their units."""
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1.0
+    squares = np.linalg.eigvalsh((rows / size).T @ (rows / size)) if rows.size else np.zeros(1)
+    if squares[0] > _CLEAR * squares[-1]:
+        return np.empty((rows.shape[1], 0))
     # by the triangular factor, which has the same singular values and at most k rows
     _, singular, combinations = np.linalg.svd(np.linalg.qr(rows / size, mode="r"), full_matrices=True)
     singular = np.pad(singular, (0, len(combinations) - len(singular)))
@@ -86,11 +91,18 @@ class RigidContact:
         """Where friction acts (n,) bool."""
         return (self.limit > 0) | (self.closed & (self.friction > 0))
 
-    def free(self) -> np.ndarray:
-        """Combinations (m, j) that move closed nodes along the obstacle only, and held ones not at all."""
+    def free(self, last: tuple[bytes, np.ndarray]) -> tuple[bytes, np.ndarray]:
+        """Combinations (m, j) that move closed nodes along the obstacle only, and held ones not at all.
+
+        Behind the status that they belong to; ``last`` are those of another time.
+        """
         closed, held = self.closed, self.resists & ~self.slip.any(axis=1)
         count = self.motions.shape[2]
-        return null_combinations(np.concatenate([self.motions[closed, 0], self.motions[held, 1:].reshape(-1, count)]))
+        key = bytes([count]) + closed.tobytes() + held.tobytes()
+        if key == last[0]:
+            return last
+        return key, null_combinations(np.concatenate([self.motions[closed, 0],
+                                                      self.motions[held, 1:].reshape(-1, count)]))
 
     def step(self, free: np.ndarray, work: np.ndarray) -> np.ndarray | None:
         resistance = np.where(self.resists, self.limit + np.where(self.closed, self.friction * self.pressure, 0.0), 0.0)
@@ -222,6 +234,7 @@ class RigidMotions:
     coefficients: np.ndarray  # (k, m): of the motions, in the columns of problem.near_nullspace
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
     _work: np.ndarray | None = field(default=None, init=False)
+    _free: tuple[bytes, np.ndarray] = field(default=(b"", np.empty(0)), init=False)  # the last, and of which status
 
     #: steps at most
     STEPS: ClassVar[int] = 30
@@ -241,10 +254,13 @@ class RigidMotions:
 
     def settle(self, unknowns: np.ndarray, past: list[np.ndarray], residual: np.ndarray) -> int:
         """Move to the least energy, in place; returns the number of steps."""
+        if not self.at_contact.shape[2]:  # given up: springs hold them
+            return 0
         contact = RigidContact.of(self.contact, self.at_contact, residual)
         total, steps = np.zeros(self.at_contact.shape[2]), 0
         while steps < self.STEPS:
-            free = contact.free()
+            self._free = contact.free(self._free)
+            free = self._free[1]
             if not free.shape[1] or not self._strainless():
                 break
             change = contact.step(free, self._work)

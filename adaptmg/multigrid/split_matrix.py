@@ -9,6 +9,7 @@ dofs are zero. :func:`galerkin_levels` splits the matrices of all levels of a hi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -74,16 +75,40 @@ class SplitMatrix:
         result[in_upper] = self.upper.reshape(-1, size)[slots[in_upper] - below - n]
         return result.reshape(-1)
 
+    @cached_property
+    def _places(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Block rows and columns of L, D and U."""
+        own, lower = np.arange(self.n_nodes), self.lower_indices.astype(np.int64)
+        row = np.repeat(own, np.diff(self.lower_indptr))
+        upper = (lower, row) if self.symmetric else (np.repeat(own, np.diff(self.upper_indptr)),
+                                                     self.upper_indices.astype(np.int64))
+        return [(row, lower), (own, own), upper]
+
+    @property
+    def _blocks(self) -> list[np.ndarray]:
+        """The blocks at these places."""
+        lower, diagonal, upper = (part.reshape(-1, self.dim, self.dim)
+                                  for part in (self.lower, self.diagonal, self.upper))
+        return [lower, diagonal, lower.transpose(0, 2, 1) if self.symmetric else upper]
+
+    @cached_property
+    def _order(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The order of all blocks in the whole matrix, and its indptr and indices."""
+        row, column = (np.concatenate(part) for part in zip(*self._places, strict=True))
+        order = np.lexsort((column, row))
+        return order, np.append(0, np.cumsum(np.bincount(row, minlength=self.n_nodes))), column[order]
+
+    def dense(self) -> np.ndarray:
+        """The whole matrix (n_dofs, n_dofs) as an array; needs ``diagonal``."""
+        result = np.zeros((self.n_nodes, self.dim, self.n_nodes, self.dim))
+        for (row, column), blocks in zip(self._places, self._blocks, strict=True):
+            result[row, :, column] = blocks
+        return result.reshape(self.n_dofs, self.n_dofs)
+
     def matrix(self) -> sparse.bsr_array:
-        """The whole matrix, for coarsest solves and tests (n_dofs, n_dofs); needs ``diagonal``."""
-        n, dim = self.n_nodes, self.dim
-        shape = (self.n_dofs, self.n_dofs)
-        parts = []
-        for indptr, indices, data in ((np.arange(n + 1), np.arange(n), self.diagonal), self.lower_arrays,
-                                      *(() if self.symmetric else (self.upper_arrays,))):
-            blocks = data.reshape(-1, dim, dim)
-            parts.append(sparse.bsr_array((blocks, indices.astype(np.int32), indptr), shape=shape))
-        return parts[0] + parts[1] + (parts[1].T if self.symmetric else parts[2])
+        """The whole matrix (n_dofs, n_dofs), sorted; needs ``diagonal``."""
+        order, indptr, indices = self._order
+        return sparse.bsr_array((np.concatenate(self._blocks)[order], indices, indptr), shape=(self.n_dofs,) * 2)
 
 
 def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) -> SplitMatrix:

@@ -130,10 +130,10 @@ class TruncatedContact:
         self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
         return cut
 
-    def admits(self, unknowns: np.ndarray, first: np.ndarray, second: np.ndarray, alpha: tuple[float, float]) -> bool:
+    def admits(self, ring: np.ndarray, places: np.ndarray, alpha: np.ndarray) -> bool:
         """Whether the recombination closes open nodes or reverses slips at few nodes, which the projection cuts."""
         cut = count_cut(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
-                        self.values, first, second, alpha[0], alpha[1], unknowns)
+                        self.values, ring, places, alpha)
         return cut <= 1 + self.FEW * len(self.nodes)
 
     def friction_slope(self, before: np.ndarray, alpha: float) -> float:
@@ -298,8 +298,8 @@ def project(dim, codes, nodes, frames, gap, reference, values, u):
 
 
 @kernel
-def count_cut(dim, codes, nodes, frames, gap, reference, values, first, second, alpha_1, alpha_2, u):
-    """At how many nodes u + alpha_1 (first - u) + alpha_2 (second - u) closes an open node or reverses a slip."""
+def count_cut(dim, codes, nodes, frames, gap, reference, values, ring, places, alpha):
+    """At how many nodes u + sum of alpha_k (u_k - u), from ``places`` of ``ring``, closes or reverses a slip."""
     m = dim - 1
     count = 0
     for k in range(len(nodes)):
@@ -310,9 +310,10 @@ def count_cut(dim, codes, nodes, frames, gap, reference, values, first, second, 
         for a in range(dim):
             change = 0.0
             for b in range(dim):
-                old = u[at + b]
-                change += frames[(dim * k + a) * dim + b] * (alpha_1 * (first[at + b] - old)
-                                                             + alpha_2 * (second[at + b] - old))
+                old, moved = ring[places[0] + at + b], 0.0
+                for c in range(len(alpha)):
+                    moved += alpha[c] * (ring[places[c + 1] + at + b] - old)
+                change += frames[(dim * k + a) * dim + b] * moved
             moved = values[dim * k + a] + change
             if a == 0:
                 closes = not codes[k] & CLOSED and moved > gap[k]

@@ -29,7 +29,7 @@ from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 
-__all__ = ["Recombination", "StepState", "TruncatedStep"]
+__all__ = ["Recombination", "Ring", "StepState", "TruncatedStep"]
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,8 @@ class TruncatedStep:
         nodal = cycle.prolongations[number - 1]
         # the zeros of a prolongation's components, and its arrays: what the kernels of transfer take first
         self._transfer = ZERO[self.level.n_dofs // nodal.shape[0]], nodal.indptr, nodal.indices, nodal.data
-        self.unknowns, self.motions = unknowns, motions
-        self._past = [np.zeros_like(unknowns), np.zeros_like(unknowns)]
-        self.residual = np.zeros_like(unknowns)
+        self.motions, self._iterates = motions, Ring(len(unknowns), depth)
+        self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
         self._frozen = False
         self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
 
@@ -76,7 +75,7 @@ class TruncatedStep:
         for k in range(self._interface_sweeps):
             self._interface_sweep(self.interface.backward if k % 2 == 0 else self.interface.forward)
         if self.motions is not None:
-            self.motions.settle(self.unknowns, self._past, self.residual)
+            self.motions.settle(self.unknowns, self._iterates.past, self.residual)
 
     def linearise(self, safe: bool, trusted: float = np.inf) -> StepState:
         """Update the contact status, truncate the residual and, where the status has changed, the coarse matrices.
@@ -106,15 +105,24 @@ class TruncatedStep:
         self.contact.project(proposed)
         if self._frozen:
             self._search(proposed, before)
-        self.unknowns, self._past = proposed, [self.unknowns, self._past[0]]
+        self._iterates.advance()
         self.recombination.advance()
         self.cycle.recorder.visit(self.number, "prolong")
         return energy
 
     @property
+    def unknowns(self) -> np.ndarray:
+        """The present iterate (n_dofs,)."""
+        return self._iterates.now
+
+    @unknowns.setter
+    def unknowns(self, values: np.ndarray) -> None:
+        self._iterates.now[:] = values
+
+    @property
     def smoothed(self) -> np.ndarray:
         """The iterate that the last :meth:`correct` started from (n_dofs,)."""
-        return self._past[0]
+        return self._iterates.past[0]
 
     def _projected_sweeps(self) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
@@ -134,26 +142,29 @@ class TruncatedStep:
 
     def _restrict(self) -> float:
         """Restrict the truncated residual for the recombination; returns its sum of squares."""
-        total = restrict(*self._transfer, self.residual, self.recombination.now)
-        zero_at(self.recombination.now, self.below.fixed)
+        now = self.recombination.residuals.now
+        total = restrict(*self._transfer, self.residual, now)
+        zero_at(now, self.below.fixed)
         self.cycle.recorder.visit(self.number, "restrict")
         return total
 
-    def _recombine(self, first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-        """Weights of the two past iterates; the load of the next coarser level becomes that of the recombination."""
+    def _recombine(self, places: np.ndarray) -> np.ndarray:
+        """Weights of the past iterates; the load of the next coarser level becomes that of the recombination."""
         alpha = self.recombination.fit(self.below.inverse)
-        if alpha != (0.0, 0.0) and not self.contact.admits(self.unknowns, first, second, alpha):
-            alpha = (0.0, 0.0)
+        if alpha.any() and not self.contact.admits(self._iterates.flat, places, alpha):
+            alpha[:] = 0.0
         self.recombination.combine(alpha, self.cycle.vectors(self.number - 1).load)
         return alpha
 
     def _coarse_correction(self) -> tuple[np.ndarray, float]:
         """The recombined iterate plus the coarse correction (in place of the oldest), and the energy of that."""
-        first, proposed = self._past
-        alpha = self._recombine(first, proposed)
+        ring = self._iterates
+        places = ring.places(self.recombination.past)
+        alpha = self._recombine(places)
         correction = self.cycle.solve(self.number - 1)
         energy = float(dot(self.cycle.vectors(self.number - 1).load, correction))
-        combine(*self._transfer, correction, self.unknowns, first, proposed, *alpha)
+        combine(*self._transfer, correction, ring.flat, places, alpha, ring.following)
+        proposed = ring.past[-1]
         zero_at(proposed, self.level.fixed)
         return proposed, energy
 
@@ -193,70 +204,128 @@ class TruncatedStep:
         return float(np.sqrt(stiff_squares(self.level.dim, self.level.inverse, self.unknowns)))
 
 
-class Recombination:
-    r"""The last restricted truncated residuals of one level, and the weights of the last iterates.
+class Ring:
+    """The last vectors (n,) of a sequence in one array, where the oldest gives its place to the next."""
 
-    The weights of :math:`u + \alpha_1 (u_1 - u) + \alpha_2 (u_2 - u)` minimise
-    :math:`\sum_k |R_0 + \alpha_1 (R_1 - R_0) + \alpha_2 (R_2 - R_0)|_k^2 / d_k`, d the diagonal of the coarse matrix
-    (Anderson acceleration of depth 2). While the contact status stays, the residual is affine in u (3D: nearly).
-    """
+    #: past vectors at most
+    MOST = 4
 
-    #: the normal equations count as singular below this relative determinant
-    SINGULAR = 1e-10
-
-    def __init__(self, dim: int, n_dofs: int, depth: int) -> None:
-        self.dim, self.depth, self.past = dim, depth, 0
-        self._residuals = [np.zeros(n_dofs) for _ in range(3)]
-        self._equations = np.zeros(5)
+    def __init__(self, n: int, depth: int) -> None:
+        self.vectors = np.zeros((max(depth, 1) + 1, n))
+        self.flat, self._head = self.vectors.reshape(-1), 0
 
     @property
     def now(self) -> np.ndarray:
-        """Where the residual of the present iterate goes."""
-        return self._residuals[0]
+        return self.vectors[self._head]
 
-    def restart(self) -> None:
-        self.past = 0
+    @property
+    def past(self) -> list[np.ndarray]:
+        """Newest first."""
+        return [self.vectors[self._head - k] for k in range(1, len(self.vectors))]
 
-    def fit(self, inverse: np.ndarray) -> tuple[float, float]:
-        """The weights, from the inverse diagonal blocks of the next coarser level."""
-        past = min(self.past, self.depth)
-        if past == 0:
-            return 0.0, 0.0
-        _normal_equations(self.dim, inverse, *self._residuals, self._equations)
-        a_11, a_12, a_22, b_1, b_2 = self._equations
-        determinant = a_11 * a_22 - a_12 * a_12
-        if past > 1 and determinant > self.SINGULAR * a_11 * a_22:
-            return (b_1 * a_22 - b_2 * a_12) / determinant, (a_11 * b_2 - a_12 * b_1) / determinant
-        return (b_1 / a_11, 0.0) if a_11 > 0.0 else (0.0, 0.0)
-
-    def combine(self, alpha: tuple[float, float], result: np.ndarray) -> None:
-        _combined(*self._residuals, *alpha, result)
+    def places(self, past: int) -> np.ndarray:
+        """Where in ``flat`` the present vector begins and the MOST before it; beyond ``past`` the present one."""
+        rows = [(self._head - (k if k <= past else 0)) % len(self.vectors) for k in range(self.MOST + 1)]
+        return np.array(rows, dtype=np.int64) * self.vectors.shape[1]
 
     def advance(self) -> None:
-        a, b, c = self._residuals
-        self._residuals = [c, a, b]
-        self.past += 1
+        self._head = (self._head + 1) % len(self.vectors)
+
+    @property
+    def following(self) -> int:
+        """The place of the next vector, which is that of the oldest."""
+        return (self._head + 1) % len(self.vectors) * self.vectors.shape[1]
+
+
+class Recombination:
+    r"""The last restricted truncated residuals of one level, and the weights of the last iterates.
+
+    The weights of :math:`u + \sum_j \alpha_j (u_j - u)` minimise
+    :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d the diagonal of the coarse matrix (Anderson
+    acceleration). While the contact status stays, the residual is affine in u (3D: nearly).
+    """
+
+    def __init__(self, dim: int, n_dofs: int, depth: int) -> None:
+        self.dim, self.depth, self._past = dim, depth, 0
+        self.residuals, self._alpha = Ring(n_dofs, depth), np.zeros(Ring.MOST)
+
+    @property
+    def past(self) -> int:
+        """The number of iterates that can be recombined with the present one."""
+        return min(self._past, self.depth)
+
+    def restart(self) -> None:
+        self._past = 0
+
+    def fit(self, inverse: np.ndarray) -> np.ndarray:
+        """The weights (MOST,), from the inverse diagonal blocks of the next coarser level."""
+        self._alpha[:] = 0.0
+        if self.past:
+            ring = self.residuals
+            _fit(self.dim, inverse, ring.flat, ring.places(self.past), self._alpha)
+        return self._alpha
+
+    def combine(self, alpha: np.ndarray, result: np.ndarray) -> None:
+        _combined(self.residuals.flat, self.residuals.places(self.past), alpha, result)
+
+    def advance(self) -> None:
+        self.residuals.advance()
+        self._past += 1
+
+
+#: the normal equations count as singular below this pivot, relative to the diagonal
+_SINGULAR = 1e-10
 
 
 @kernel
-def _normal_equations(dim, inverse, now, first, second, result):
-    """The entries a_11, a_12, a_22, b_1, b_2 of the weighted least squares problem."""
-    a_11, a_12, a_22, b_1, b_2 = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(len(now) // dim):
-        for a in range(dim):
-            at = dim * i + a
-            weight = inverse[(dim * i + a) * dim + a]
-            r = now[at]
-            d_1, d_2 = first[at] - r, second[at] - r
-            a_11 += weight * d_1 * d_1
-            a_12 += weight * d_1 * d_2
-            a_22 += weight * d_2 * d_2
-            b_1 -= weight * d_1 * r
-            b_2 -= weight * d_2 * r
-    result[0], result[1], result[2], result[3], result[4] = a_11, a_12, a_22, b_1, b_2
+def _fit(dim, inverse, ring, places, alpha):
+    """The weights ``alpha`` (4,) of the weighted least squares problem; 0 for residuals that depend on newer ones."""
+    now, first, second, third, fourth = places
+    a_11, a_12, a_13, a_14, a_22, a_23, a_24, a_33, a_34, a_44 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    b_1, b_2, b_3, b_4 = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(inverse) // dim**2):
+        for c in range(dim):
+            at = dim * i + c
+            weight, r = inverse[at * dim + c], ring[now + at]
+            d_1, d_2 = ring[first + at] - r, ring[second + at] - r
+            d_3, d_4 = ring[third + at] - r, ring[fourth + at] - r
+            w_1, w_2, w_3, w_4 = weight * d_1, weight * d_2, weight * d_3, weight * d_4
+            a_11 += w_1 * d_1
+            a_12 += w_1 * d_2
+            a_13 += w_1 * d_3
+            a_14 += w_1 * d_4
+            a_22 += w_2 * d_2
+            a_23 += w_2 * d_3
+            a_24 += w_2 * d_4
+            a_33 += w_3 * d_3
+            a_34 += w_3 * d_4
+            a_44 += w_4 * d_4
+            b_1 -= w_1 * r
+            b_2 -= w_2 * r
+            b_3 -= w_3 * r
+            b_4 -= w_4 * r
+    matrix = np.array([[a_11, a_12, a_13, a_14], [a_12, a_22, a_23, a_24], [a_13, a_23, a_33, a_34],
+                       [a_14, a_24, a_34, a_44]])
+    alpha[0], alpha[1], alpha[2], alpha[3] = b_1, b_2, b_3, b_4
+    sizes = np.array([a_11, a_22, a_33, a_44])
+    for k in range(4):
+        if not matrix[k, k] > _SINGULAR * sizes[k]:
+            matrix[k], matrix[:, k], matrix[k, k], alpha[k] = 0.0, 0.0, 1.0, 0.0
+        for j in range(k + 1, 4):
+            factor = matrix[j, k] / matrix[k, k]
+            alpha[j] -= factor * alpha[k]
+            for c in range(k, 4):
+                matrix[j, c] -= factor * matrix[k, c]
+    for k in range(3, -1, -1):
+        for j in range(k + 1, 4):
+            alpha[k] -= matrix[k, j] * alpha[j]
+        alpha[k] /= matrix[k, k]
 
 
 @kernel
-def _combined(now, first, second, alpha_1, alpha_2, result):
-    for at in range(len(now)):
-        result[at] = now[at] + alpha_1 * (first[at] - now[at]) + alpha_2 * (second[at] - now[at])
+def _combined(ring, places, alpha, result):
+    now, first, second, third, fourth = places
+    for at in range(len(result)):
+        r = ring[now + at]
+        result[at] = r + alpha[0] * (ring[first + at] - r) + alpha[1] * (ring[second + at] - r) + alpha[2] * (
+            ring[third + at] - r) + alpha[3] * (ring[fourth + at] - r)

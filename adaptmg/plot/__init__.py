@@ -30,3 +30,7 @@ def __getattr__(name: str) -> object:
 
         return getattr(importlib.import_module(f"adaptmg.plot.{_WHERE[name]}"), name)
     raise AttributeError(f"module 'adaptmg.plot' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

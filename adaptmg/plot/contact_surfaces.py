@@ -52,6 +52,12 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     Pressures and tractions are nodal forces over the nodes' weights (the lumped mass of the surface, with dual
     multipliers that of its covered part); the gap is that of the constraint, g0 minus the (relative) normal
     displacement.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> len(am.plot.contact(result).axes)                               # pressure, friction, gap and slip
+    3
     """
     solid = checks.instance("result", result, Result).dim == 3
     names = chosen_boundaries(result, boundary, "boundary")
@@ -125,9 +131,12 @@ def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
             (axes[1], 1e-6 * np.linalg.norm(c.traction[at], axis=1), "friction traction |t| [MPa]", largest),
             (axes[2], scale * c.gap[at], f"gap [{unit}]", 1e6 if unit == "µm" else 0.0)):
         low, high = min(float(values.min()), 0.0), float(values.max())
-        norm = Normalize(low, high) if high - low > 1e-9 * reference else Normalize(0.0, 1.0)
-        shown = draw_map(ax, flat, values, norm)
-        ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=label).outline.set_visible(False)
+        if high - low > 1e-9 * reference:
+            shown = draw_map(ax, flat, values, Normalize(low, high))
+            ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=label).outline.set_visible(False)
+        else:
+            draw_map(ax, flat, 0 * values, Normalize(0.0, 1.0))
+            ax.set_title(f"{label.rpartition(' [')[0]} = 0", fontsize=9.5)
     _draw_states(axes[3], flat, c.state[at])
 
 

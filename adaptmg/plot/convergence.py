@@ -41,6 +41,12 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
     ------
     ValueError
         If a result did not record the quantity.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> am.plot.history(result).axes[0].get_xlabel()
+    'work units'
     """
     several = isinstance(results, Mapping)
     runs = dict(results) if several else {"": results}
@@ -109,6 +115,12 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
     """Draw the cycle diagram, level against step (as Fig. 1 of the paper): smoothing, coarse solves and transfers.
 
     At most ``steps`` points are drawn, from the start; the picture says how many there are.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> len(am.plot.path(result).axes)
+    1
     """
     checks.integer("steps", steps, 2)
     stops = _stops(checks.instance("result", result, Result).path)

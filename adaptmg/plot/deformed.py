@@ -47,7 +47,8 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     amplify : float, optional
         Factor of the displacements, >= 0; by default the largest is drawn as about 5 % of the size of the model.
     stress : bool
-        Colour by von Mises stress, constant on each element, MPa (in 3D that of the element behind each facet).
+        Colour by von Mises stress, constant on each element, MPa (in 3D that of the element behind each facet). The
+        scale ends where 99 % of the elements lie below; the label names the maximum.
     displacement : bool
         Colour by the length of the displacement, linear in each element.
     states : bool
@@ -62,6 +63,12 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
         Direction of view in 3D, degrees; default (22, -58).
     ax : matplotlib Axes, optional
         In 3D with ``projection="3d"``.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> len(am.plot.deformation(result, amplify=10, stress=True).axes)  # with a colour bar
+    2
     """
     if checks.instance("result", result, Result).mesh is None:
         raise ValueError("this result has no mesh to draw (it comes from a bare DiscreteProblem)")
@@ -88,6 +95,11 @@ class Coloring:
     values: np.ndarray  # (n_nodes,) or (n_elements,), in the unit of the label
     label: str  # of the colour bar
     norm: Normalize
+
+    @property
+    def extend(self) -> str:
+        """Whether the colour bar is open above: 'max' or 'neither'."""
+        return "max" if self.values.max() > 1.001 * self.norm.vmax else "neither"
 
 
 @dataclass(frozen=True)
@@ -133,8 +145,12 @@ def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | No
         return None
     values = result.von_mises() if stress else np.linalg.norm(result.displacement, axis=1)
     factor, unit = (1e-6, "MPa") if stress else style.scaled(float(values.max()), "m")
-    label = f"{'von Mises stress' if stress else 'displacement |u|'} [{unit}]"
-    return Coloring(factor * values, label, Normalize(0.0, max(factor * float(values.max()), np.finfo(float).tiny)))
+    values = factor * values
+    # a corner or the edge of a punch has one element of a stress far above all others
+    top = float(np.quantile(values, 0.99) if stress else values.max()) or float(values.max())
+    label = f"von Mises stress [{unit}], maximum {style.number(float(values.max()))}" if stress else (
+        f"displacement |u| [{unit}]")
+    return Coloring(values, label, Normalize(0.0, top or 1.0))
 
 
 def _automatic_factor(result: Result) -> float:
@@ -292,16 +308,15 @@ def _finish(ax: Axes, scene: Scene, factor: float) -> None:
     """Add colour bar, labels and title."""
     coloring, dim = scene.coloring, scene.result.dim
     if coloring is not None:
-        bar = ax.figure.colorbar(ScalarMappable(coloring.norm, "viridis"), ax=ax, shrink=0.75, pad=0.05 * dim - 0.06)
+        bar = ax.figure.colorbar(ScalarMappable(coloring.norm, "viridis"), ax=ax, shrink=0.75, pad=0.05 * dim - 0.06,
+                                 extend=coloring.extend)
         bar.set_label(coloring.label)
         bar.outline.set_visible(False)
     if dim == 2:
         names = style.axis_names(scene.result)
         ax.set(xlabel=f"{names[0]} [{scene.unit}]", ylabel=f"{names[1]} [{scene.unit}]")
     size = "to scale" if factor == 1 else f"{style.number(factor)} times"
-    # seen from below, an axis with its label runs along the upper side
-    ax.set_title(f"{style.plain(scene.result.problem_name)}: displacement drawn {size}",
-                 pad=30 if dim == 3 and ax.elev < 0 else None)
+    style.entitle(ax, f"{style.plain(scene.result.problem_name)}: displacement drawn {size}")
 
 
 def _legend(ax: Axes, scene: Scene, present: set[int]) -> None:
@@ -313,8 +328,7 @@ def _legend(ax: Axes, scene: Scene, present: set[int]) -> None:
                     for shape in sorted(scene.shapes, key=lambda shape: order[shape.name])]
     handles.append(Line2D([], [], color=style.GREY, linewidth=0.9, linestyle=(0, (4, 3)), label="before"))
     handles += style.state_lines(present)
-    if scene.coloring is not None and scene.result.dim == 2:
-        ax.figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5))
+    if scene.coloring is not None:
+        style.legend_below(ax, handles)
     else:
-        corner = (1.01, 1.0) if scene.coloring is None else (-0.05, 1.0)
-        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=corner, borderaxespad=0.0)
+        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -22,7 +23,7 @@ _COLUMNS = 4
 
 
 @styled
-def load_history(results: Sequence[Result], factors: Sequence[float],
+def load_history(results: Sequence[Result], factors: ArrayLike,
                  quantities: Mapping[str, Callable[[Result], float]], *, against: str = "load factor",
                  pair: object = None, steps: int = 8) -> Figure:
     """Draw quantities against the load factor, and below them the contact pressure of single steps.
@@ -40,7 +41,17 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     pair : str or ContactPair, optional
         The slave boundary of the pair whose pressure is drawn; by default a row of pictures for each pair.
     steps : int
-        The largest number of steps drawn for each pair, evenly spaced from the first to the last; 0 for none.
+        The largest number of steps drawn for each pair: the first, the last, that of the largest pressure, those where
+        ``factors`` turn, and others between them; 0 for none. The title says how many are left out.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> path = am.LoadPath({"left": [0.5, 1.0]})
+    >>> pressure = {"largest pressure [MPa]": lambda step: 1e-6 * step.contact.pressure.max()}
+    >>> figure = am.plot.load_history(am.solve_path(grids, path), path.factors["left"], pressure)
+    >>> len(figure.axes)                                               # the curve, and two steps
+    3
     """
     results, factors = _checked(results, factors)
     against = label_text(checks.instance("against", against, str))
@@ -48,7 +59,7 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     names = chosen_boundaries(results[-1], pair, "pair") if checks.integer("steps", steps) else ()
     if not rows and not names:
         raise ValueError("nothing to draw: give quantities, or steps > 0")
-    shown = np.unique(np.linspace(0, len(results) - 1, min(steps, len(results))).round().astype(int)) if names else ()
+    shown = _shown(results, factors, steps) if names else ()
     columns, curve_columns = min(_COLUMNS, max(len(shown), 1)), min(3, max(len(rows), 1))
     curve_rows, map_rows = -(-len(rows) // curve_columns), -(-len(shown) // columns)
     heights = [2.7 * curve_rows] * bool(rows) + [2.1 * map_rows + 0.5] * len(names)
@@ -61,13 +72,14 @@ def load_history(results: Sequence[Result], factors: Sequence[float],
     for name in names:
         chosen = [(results[k], f"{against} {number(factors[k])}") for k in shown]
         part = next(parts)
-        part.suptitle(pair_name(results[0].contact, name), fontsize=10)
+        left_out = f": {len(shown)} of {len(results)} steps" if len(shown) < len(results) else ""
+        part.suptitle(pair_name(results[0].contact, name) + left_out, fontsize=10)
         (_draw_lines if results[0].dim == 2 else _draw_maps)(part, chosen, name, columns)
     figure.suptitle(plain(results[-1].problem_name), fontsize=11)
     return figure
 
 
-def _checked(results: Sequence[Result], factors: Sequence[float]) -> tuple[list[Result], np.ndarray]:
+def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result], np.ndarray]:
     results = list(results)
     if not results or not all(isinstance(r, Result) for r in results):
         raise TypeError("results must be a sequence of at least one Result, one a load step")
@@ -77,6 +89,19 @@ def _checked(results: Sequence[Result], factors: Sequence[float]) -> tuple[list[
     if len({(len(r.displacement), r.dim, len(r.contact), r.contact.names) for r in results}) > 1:
         raise ValueError("results must all belong to the same mesh and contact boundaries")
     return results, factors
+
+
+def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray:
+    """The numbers of the steps to draw: both ends, the largest pressure and turns, then those farthest from all these.
+    """
+    last = len(results) - 1
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(factors))) != 0) + 1
+    turns = turns[np.unique(np.linspace(0, len(turns) - 1, min(max(steps - 3, 0), len(turns))).astype(int))]
+    peak = int(np.argmax([result.contact.pressure.max(initial=0.0) for result in results]))
+    chosen = list(dict.fromkeys([0, last, peak, *turns.tolist()]))[:steps]
+    while len(chosen) < min(steps, len(results)):
+        chosen.append(int(np.argmax(np.abs(np.subtract.outer(np.arange(last + 1), chosen)).min(axis=1))))
+    return np.sort(chosen)
 
 
 def _evaluate(results: list[Result], quantities: Mapping[str, Callable[[Result], float]]) -> dict[str, np.ndarray]:
@@ -126,13 +151,12 @@ def _draw_maps(part: SubFigure, steps: list[tuple[Result, str]], name: str, colu
     axes = cells(part, len(steps), columns, share=True)
     flat = flattened(steps[0][0], name)
     pressures = [1e-6 * result.contact.pressure[flat.index] for result, _ in steps]
-    norm = Normalize(0.0, max(max(float(p.max()) for p in pressures), np.finfo(float).tiny))
-    for k, (ax, (_, title), pressure) in enumerate(zip(axes, steps, pressures, strict=True)):
+    norm = Normalize(0.0, max(float(p.max()) for p in pressures) or 1.0)
+    for ax, (_, title), pressure in zip(axes, steps, pressures, strict=True):
         draw_map(ax, flat, pressure, norm)
         ax.set_title(title, fontsize=9)
-        if k % columns:
-            ax.set_ylabel("")
-        if k + columns < len(steps):
-            ax.set_xlabel("")
+        ax.set(xlabel="", ylabel="")
+    part.supxlabel(flat.labels[0], fontsize=9.5)
+    part.supylabel(flat.labels[1], fontsize=9.5)
     bar = part.colorbar(ScalarMappable(norm, "viridis"), ax=axes, label="contact pressure [MPa]")
     bar.outline.set_visible(False)

@@ -36,12 +36,18 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
     Returns
     -------
     matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.plot.mesh(grids.finest.mesh, contact=["bottom"]).axes[0].get_title()
+    '25 nodes, 32 elements'
     """
     checks.instance("drawn", drawn, MeshArrays, "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or "
                     "adaptmg.mesh.read.as_mesh)")
     ax = style.canvas(ax, (5.4, 5.0), drawn.dim)
     _draw(drawn, ax, contact)
-    ax.set_title(f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
+    style.entitle(ax, f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
     return ax.figure
 
 
@@ -50,6 +56,12 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     """Draw the grids of a hierarchy side by side, coarsest first, with their numbers of nodes.
 
     ``axes`` holds one for each level, in 3D with ``projection="3d"``. ValueError if a level has no mesh.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> len(am.plot.grids(grids).axes)
+    2
     """
     levels = checks.instance("hierarchy", hierarchy, Hierarchy).levels
     without = [k for k, level in enumerate(levels) if level.mesh is None]
@@ -109,13 +121,20 @@ def adaptation(steps: Sequence[Step]) -> Figure:
 
     ``steps`` are those of :func:`adaptmg.adapt`. Above are the first mesh, one in the middle and the last; below the
     square root of each element's part of the estimate on the last mesh, and the relative estimate against nodes and
-    against seconds (meshes included), with the rate of smooth solutions.
+    against seconds (meshes included), with the rate of smooth solutions (of a goal twice that of the energy norm).
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=20))
+    >>> am.plot.adaptation(steps).savefig("adaptation.png")
     """
     steps = checks.items("steps", steps, Step, "Steps of am.adapt")
     if not steps:
         raise ValueError("steps is empty: give the steps of am.adapt, as in list(am.adapt(...))")
     dim = steps[0].result.dim
     figure = style.new_figure((10.5, 7.2))
+    figure.get_layout_engine().set(w_pad=0.1)
     shown = sorted({0, len(steps) // 2, len(steps) - 1})
     kind = "3d" if dim == 3 else None
     present: set[int] = set()
@@ -128,23 +147,26 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     nodes = np.array([step.nodes for step in steps], dtype=float)
     relative = np.array([step.estimate.relative for step in steps])
     left, right = figure.add_subplot(2, 3, 5), figure.add_subplot(2, 3, 6)
-    _falling(left, nodes, relative, "nodes")
+    _falling(left, nodes, relative, "nodes", steps[-1])
     if (relative > 0).all() and np.isfinite(relative[-1]) and nodes[-1] > nodes[0]:
-        guide = 1.35 * relative[-1] * (nodes / nodes[-1]) ** (-1 / dim)
+        # the error of a quantity falls as the square of that in the energy norm
+        order = dim if steps[-1].estimate.signed is None else dim / 2
+        guide = 1.35 * relative[-1] * (nodes / nodes[-1]) ** (-1 / order)
         left.plot(nodes, guide, color=style.GREY, linewidth=1.0, linestyle=(0, (4, 3)))
-        middle = len(nodes) // 2
-        left.annotate(f"  nodes$^{{-1/{dim}}}$", (nodes[middle], guide[middle]), color=style.GREY, fontsize=8.5,
-                      va="bottom")
-    _falling(right, np.array([step.total_seconds for step in steps]), relative, "time, meshes included [s]")
+        power = {1: "-1", 1.5: "-2/3", 2: "-1/2", 3: "-1/3"}[order]
+        left.annotate(f"  nodes$^{{{power}}}$", np.sqrt([nodes[0] * nodes[-1], guide[0] * guide[-1]]),
+                      color=style.GREY, fontsize=8.5, va="bottom")
+    _falling(right, np.array([step.total_seconds for step in steps]), relative, "time, meshes included [s]", steps[-1])
     figure.suptitle(style.plain(steps[-1].result.problem_name), fontsize=11)
     return figure
 
 
-def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str) -> None:
+def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str, step: Step) -> None:
     shown = (x > 0) & (relative > 0) & np.isfinite(relative)
     ax.loglog(x[shown], relative[shown], marker="o", color=style.BLUE)
     ax.set_xlabel(name)
-    ax.set_ylabel(r"estimate / $\|u_h\|_A$ [-]")
+    ax.set_ylabel("estimate / value of the goal [-]" if step.estimate.signed is not None else
+                  r"estimate / $\|u_h\|_A$ [-]")
     ax.grid(True, which="both")
     for axis, values in ((ax.xaxis, x[shown]), (ax.yaxis, relative[shown])):
         decades = np.log10(values.max() / values.min()) if len(values) else 1.0

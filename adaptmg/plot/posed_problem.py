@@ -1,6 +1,7 @@
 """problem: a picture of a contact problem - boundaries coloured by their use, loads as arrows, and a legend.
 
-Plane bodies are polygons (arcs as chords), as in Fig. 2 of the paper; solids are the surface of a mesh. The arrows of
+Plane bodies are polygons (arcs as chords), as in Fig. 2 of the paper, or the triangles of a user's mesh without the
+lines between them; solids are the surface of a mesh. The arrows of
 tractions are proportional to them: those that push end on the boundary, those that pull start there.
 """
 
@@ -15,11 +16,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba, to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.path import Path
 from mpl_toolkits.mplot3d import Axes3D
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.facets import supported_nodes
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.domains import in_edges
 from adaptmg.plot import style
 from adaptmg.plot.surfaces import Lines, draw_facets, finish_axes, normals_of, sharp_edges, view_of, viewer
 from adaptmg.problem import (
@@ -33,19 +37,23 @@ from adaptmg.problem import (
     Frictionless,
     InitialStrain,
     Law,
+    Outline,
+    PointSpring,
     Pressure,
-    Support,
+    Spring,
+    Symmetry,
     Traction,
     Tresca,
 )
+from adaptmg.problem.loads import AnySupport
 
 __all__ = ["boundary_edges", "problem", "spread", "support_text"]
 
 _CONTACT, _MASTER, _SUPPORT = "#e8833a", "#f2c530", "#4fb38a"
 
 SurfaceLoad = Pressure | Traction
-#: points, outward unit normals and tractions (n, dim) of a load
-Place = tuple[np.ndarray, np.ndarray, np.ndarray]
+#: a load, and points, outward unit normals and tractions (n, dim) on its boundary
+_Drawn = tuple[SurfaceLoad, np.ndarray, np.ndarray, np.ndarray]
 
 
 @style.styled
@@ -58,54 +66,70 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
     Parameters
     ----------
     posed : ContactProblem
-        With a domain, or in 3D with ``mesh``.
+        With a domain, or drawn on ``mesh``.
     ax : matplotlib Axes, optional
         In 3D with ``projection="3d"``.
     mesh : MeshArrays, optional
-        3D only: the mesh whose surface is drawn; default: a coarse mesh of the domain.
+        The mesh whose bodies and boundaries are drawn; default: the domain, in 3D a coarse mesh of it.
     explode : float
         3D only: move each body away from the centre by this multiple of its distance, to show contact surfaces.
+
+    Examples
+    --------
+    >>> figure = am.plot.problem(am.cases.greco_bar())
+    >>> figure.axes[0].get_title()
+    'GRECO bar'
     """
     checks.instance("posed", posed, ContactProblem)
-    if posed.domain is None and (mesh is None or posed.dim == 2):
-        raise ValueError("the problem has no domain to draw: draw a mesh of it with am.plot.mesh")
+    if posed.domain is None and mesh is None:
+        raise ValueError("the problem has no domain to draw: give mesh=..., for example that of a level of the "
+                         "hierarchy")
+    if mesh is not None:
+        checks.instance("mesh", mesh, MeshArrays, "MeshArrays: adaptmg.mesh.as_mesh converts")
+        posed.check_boundaries(mesh.boundaries)
     if posed.dim == 3:
         ax = style.canvas(ax, (8.4, 5.6), dim=3)
         _draw_solid(posed, _coarse_mesh(posed.domain) if mesh is None else mesh, ax, checks.number("explode", explode))
     else:
-        lower, upper, _ = style.bounds(np.concatenate(list(_polygons(posed.domain).values())))
+        bodies = _loops(posed.domain) if mesh is None else _triangles(mesh)
+        lower, upper, _ = style.bounds(np.concatenate([loop for loops in bodies.values() for loop in loops]))
         width, height = (upper - lower) / np.max(upper - lower)
         ax = style.canvas(ax, (4.4 * width + 3.9, 4.4 * height + 1.4))
-        _draw_plane(posed, ax)
-    ax.set_title(style.plain(posed.name))
+        _draw_plane(posed, bodies, boundary_edges(posed.domain) if mesh is None else _mesh_edges(mesh), ax)
+    style.entitle(ax, style.plain(posed.name))
     return ax.figure
 
 
-def _draw_plane(posed: ContactProblem, ax: Axes) -> None:
-    polygons, edges = _polygons(posed.domain), boundary_edges(posed.domain)
-    diagonal = style.bounds(np.concatenate(list(polygons.values())))[2]
+def _draw_plane(posed: ContactProblem, bodies: dict[str, list[np.ndarray]], edges: dict[str, np.ndarray], ax: Axes
+                ) -> None:
+    diagonal = style.bounds(np.concatenate([loop for loops in bodies.values() for loop in loops]))[2]
     scale, unit = style.scaled(diagonal, "m")
-    size, fills = 0.7 * diagonal, style.body_fills(len(polygons))
-    for corners, fill in zip(polygons.values(), fills, strict=True):
+    size, fills = 0.7 * diagonal, style.body_fills(len(bodies))
+    for loops, fill in zip(bodies.values(), fills, strict=True):
         # small bodies on top of large ones
-        (x, y), (x2, y2) = corners.T, np.roll(corners, -1, axis=0).T
-        ax.add_patch(Polygon(scale * corners, facecolor=fill, edgecolor=style.INK, linewidth=1.2,
-                             zorder=3 - float(np.sum(x * y2 - x2 * y)) / diagonal**2))
-    for boundary, color, _ in _uses(posed):
+        area = sum(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) for x, y in (loop.T for loop in loops))
+        path = Path.make_compound_path(*(Path(scale * np.append(loop, loop[:1], axis=0), closed=True)
+                                         for loop in loops))
+        ax.add_patch(PathPatch(path, facecolor=fill, edgecolor="none", zorder=3 - area / diagonal**2))
+    ax.add_collection(LineCollection(scale * np.concatenate(list(edges.values())), color=style.INK, linewidth=1.2,
+                                     zorder=3.2, capstyle="round"))
+    for point in _points(posed).values():
+        ax.plot(*scale * point, "^", color=_SUPPORT, markeredgecolor=style.INK, markersize=9, zorder=5)
+    for boundary, color, _ in (use for use in _uses(posed) if use[0] in edges):
         ax.add_collection(LineCollection(scale * edges[boundary], color=color, zorder=4, capstyle="butt",
                                          linewidth=2.0 if color == _MASTER else 4.0))
     enlarged = {contact.boundary: _draw_obstacle(ax, contact, edges[contact.boundary], size, scale)
                 for contact in posed.contact if isinstance(contact, Contact)}
-    places = []
+    places: list[_Drawn] = []
     for load in _surface_loads(posed):
         length = np.linalg.norm(np.diff(edges[load.boundary], axis=1), axis=2).sum()
         x, normals = spread(edges[load.boundary], np.linspace(0.06, 0.94, max(3, round(12 * length / size))))
-        places.append((x, normals, _tractions(load, x, normals)))
+        places.append((load, x, normals, _tractions(load, x, normals)))
     for tails, arrows in _arrows(places, 0.17 * size):
         ax.quiver(*scale * tails.T, *scale * arrows.T, angles="xy", scale_units="xy", scale=1, color=style.BLUE,
                   units="inches", width=0.02, headwidth=4.5, headlength=5.5, headaxislength=5, zorder=5)
         ax.update_datalim(scale * np.concatenate([tails, tails + arrows]))
-    if len(polygons) == 1:
+    if len(bodies) == 1:
         for boundary, segments in edges.items():
             middle, normal = (part[0] for part in spread(segments, np.array([0.5])))
             ax.annotate(style.plain(boundary), scale * middle, -9 * normal, textcoords="offset points", color=style.INK,
@@ -115,7 +139,7 @@ def _draw_plane(posed: ContactProblem, ax: Axes) -> None:
     ax.set(aspect="equal", anchor="W", xlabel=f"{names[0]} [{unit}]", ylabel=f"{names[1]} [{unit}]")
     ax.margins(0.06)
     ax.autoscale_view()
-    _legend(posed, ax, list(polygons), fills, names, places, edges, enlarged)
+    _legend(posed, ax, list(bodies), fills, names, places, edges, enlarged)
 
 
 def _draw_obstacle(ax: Axes, contact: Contact, edges: np.ndarray, size: float, scale: float) -> int:
@@ -136,19 +160,53 @@ def _draw_obstacle(ax: Axes, contact: Contact, edges: np.ndarray, size: float, s
     return times
 
 
-def _polygons(domain: Domain) -> dict[str, np.ndarray]:
-    """Corners (n, 2), m, of each body of a plane domain."""
-    parts = domain.parts if isinstance(domain, Assembly) else {domain.bodies[0]: domain}
-    return {body: np.array(part.polygon.vertices) for body, part in parts.items()}
+def _outlines(domain: Domain) -> dict[str, tuple[np.ndarray, list[str], np.ndarray]]:
+    """Of each body of a plane domain the corners (n, 2), m, the names of the edges that begin there, and their ends."""
+    result = {}
+    for body, part in (domain.parts if isinstance(domain, Assembly) else {domain.bodies[0]: domain}).items():
+        own = in_edges(part)
+        if isinstance(own, Outline):
+            corners, edge, following = own.chords()
+            result[body] = corners, [own.boundaries[i] for i in edge], corners[following]
+        else:
+            corners = np.array(own.polygon.vertices)
+            result[body] = corners, list(own.polygon.boundaries), np.roll(corners, -1, axis=0)
+    return result
+
+
+def _loops(domain: Domain) -> dict[str, list[np.ndarray]]:
+    """Corners (n, 2), m, around each body of a plane domain, and around its holes."""
+    return {body: np.split(corners, 1 + np.flatnonzero((ends[:-1] != corners[1:]).any(axis=1)))
+            for body, (corners, _, ends) in _outlines(domain).items()}
 
 
 def boundary_edges(domain: Domain) -> dict[str, np.ndarray]:
     """Return the edges (n, 2, 2), m, of each boundary of a plane domain, the body on their left."""
     edges: dict[str, np.ndarray] = {}
-    for body, part in (domain.parts if isinstance(domain, Assembly) else {"": domain}).items():
-        corners, names = np.array(part.polygon.vertices), np.array(part.polygon.boundaries)
-        every = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-        edges |= {f"{body}.{name}" if body else name: every[names == name] for name in dict.fromkeys(names.tolist())}
+    for body, (corners, of_edge, ends) in _outlines(domain).items():
+        every, names = np.stack([corners, ends], axis=1), np.array(of_edge)
+        edges |= {f"{body}.{name}" if isinstance(domain, Assembly) else name: every[names == name]
+                  for name in dict.fromkeys(of_edge)}
+    return edges
+
+
+def _triangles(mesh: MeshArrays) -> dict[str, list[np.ndarray]]:
+    """The triangles (3, 2), m, of each body of a plane mesh."""
+    return {body: list(mesh.points[mesh.elements[mesh.element_body == k]]) for k, body in enumerate(mesh.bodies)}
+
+
+def _mesh_edges(mesh: MeshArrays) -> dict[str, np.ndarray]:
+    """As :func:`boundary_edges`, of a mesh; edges that follow each other stand so."""
+    edges = {}
+    for name in mesh.boundaries:
+        facets = mesh.boundary_facets(name)
+        left, order = dict(zip(facets[:, 0].tolist(), facets.tolist(), strict=True)), []
+        starts = [*np.setdiff1d(facets[:, 0], facets[:, 1]).tolist(), *left]
+        for node in starts:
+            while node in left:
+                order.append(left.pop(node))
+                node = order[-1][1]
+        edges[name] = mesh.points[np.array(order, dtype=np.int64)]
     return edges
 
 
@@ -181,7 +239,6 @@ def _coarse_mesh(domain: Domain) -> MeshArrays:
 
 
 def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: float) -> None:
-    posed.check_boundaries(mesh.boundaries)
     scale, unit = style.scaled(style.bounds(mesh.points)[2], "m")
     body_of_node = np.zeros(mesh.n_nodes, dtype=int)
     body_of_node[mesh.elements] = mesh.element_body[:, None]
@@ -191,20 +248,23 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: fl
     corners, of_boundary = points[mesh.facets], {name: mesh.facet_labels == k for k, name in enumerate(mesh.boundaries)}
     body, fills = body_of_node[mesh.facets[:, 0]], style.body_fills(len(mesh.bodies))
     colors = to_rgba_array(fills)[body]
-    for boundary, color, _ in _uses(posed):
+    for boundary, color, _ in (use for use in _uses(posed) if use[0] in of_boundary):
         colors[of_boundary[boundary]] = to_rgba(color)
     places = []
     for load in _surface_loads(posed):
         mine = np.flatnonzero(of_boundary[load.boundary])
         mine = mine[np.unique(np.linspace(0, len(mine) - 1, 24).astype(int))]
         normals = normals_of(corners[mine])
-        places.append((corners[mine].mean(axis=1), normals,
+        places.append((load, corners[mine].mean(axis=1), normals,
                        _tractions(load, mesh.points[mesh.facets[mine]].mean(axis=1), normals)))
     arrows = [stroke for arrow in _arrows(places, float(np.max(np.ptp(points, axis=0))) / 6)
               for stroke in _strokes(*arrow)]
     edges = np.concatenate([sharp_edges(points, mesh.facets[body == k]) for k in range(len(mesh.bodies))])
+    for support in (one for one in posed.supports if one.boundary is None):
+        ax.plot(*points[supported_nodes(mesh, support)].T, "^", color=_SUPPORT, markeredgecolor=style.INK, zorder=9)
     draw_facets(ax, corners, colors, lines=False, extra=(
-        Lines(points[edges], style.INK, 0.9), Lines(np.concatenate([np.empty((0, 2, 3)), *arrows]), style.BLUE, 1.1)))
+        Lines(points[edges], style.INK, 0.9), Lines(np.concatenate([np.empty((0, 2, 3)), *arrows]), style.BLUE, 1.6,
+                                                     hidden="#8fbfe0")))
     finish_axes(ax, points, unit)
     if len(mesh.bodies) == 1:
         # the view in which contact, three times, and loads show most
@@ -242,17 +302,17 @@ def _tractions(load: SurfaceLoad, x: np.ndarray, normals: np.ndarray) -> np.ndar
     return np.stack([at(component) for component in load.components], axis=1)
 
 
-def _arrows(places: list[Place], reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
+def _arrows(places: list[_Drawn], reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
     """Tails and vectors (n, dim) for points, normals and tractions of each load, the longest ``reach``."""
     largest = max((float(np.linalg.norm(traction, axis=1).max()) for *_, traction in places), default=0.0)
-    arrows = [(x, normals, traction * (reach / largest if largest else 0.0)) for x, normals, traction in places]
+    arrows = [(x, normals, traction * (reach / largest if largest else 0.0)) for _, x, normals, traction in places]
     return [(np.where(np.einsum("nd,nd->n", arrow, normals)[:, None] <= 0, x - arrow, x), arrow)
             for x, normals, arrow in arrows]
 
 
 def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
     """Boundary, colour and text of supports and contacts; later ones are painted over earlier ones."""
-    uses = [(support.boundary, _SUPPORT, support_text(support, posed.dim, "rz" if posed.axisymmetric else "xyz"))
+    uses = [(support.place, _SUPPORT, support_text(support, posed.dim, "rz" if posed.axisymmetric else "xyz"))
             for support in posed.supports]
     for contact in posed.contact:
         uses.append((contact.boundary, _CONTACT, "contact"))
@@ -262,7 +322,7 @@ def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
 
 
 def _legend(posed: ContactProblem, ax: Axes, bodies: Sequence[str], fills: Sequence[str], axes: str,
-            places: list[Place], boundaries: Sequence[str], enlarged: dict[str, int]) -> None:
+            places: list[_Drawn], boundaries: Sequence[str], enlarged: dict[str, int]) -> None:
     """List bodies, uses of boundaries and loads under the name of the law; of a single body the free boundaries too."""
     entries: list[tuple[Artist, str]] = []
     if len(bodies) > 1:
@@ -273,12 +333,12 @@ def _legend(posed: ContactProblem, ax: Axes, bodies: Sequence[str], fills: Seque
         text = f"{text} on" if color != _MASTER else text
         entries.append((Patch(facecolor=color, edgecolor=style.INK),
                         f"{text} {style.quoted(boundary)}" + (f"\n(gap drawn {times} times)" if times > 1 else "")))
-    loads = _surface_loads(posed)
+    acting = [(load, traction) for load, _, _, traction in places if traction.any()]
     entries += [(Line2D([], [], color=style.BLUE), f"{_surface_text(load, traction)} on {style.quoted(load.boundary)}")
-                for load, (_, _, traction) in zip(loads, places, strict=True)]
+                for load, traction in acting]
     entries += [(Line2D([], [], color=style.BLUE, linestyle=":"), _volume_text(load, axes)) for load in posed.loads
                 if isinstance(load, BodyForce | InitialStrain)]
-    used = {name for name, *_ in _uses(posed)} | {load.boundary for load in loads}
+    used = {name for name, *_ in _uses(posed)} | {load.boundary for load, _ in acting}
     if len(bodies) == 1 and (free := [style.quoted(name) for name in boundaries if name not in used]):
         entries.append((Patch(facecolor=style.PALE, edgecolor=style.INK), f"free: {', '.join(free)}"))
     handles, labels = zip(*entries, strict=True)
@@ -302,8 +362,19 @@ def _value(value: object, unit: str = "") -> str:
     return f"{style.number(float(value) * factor)} {unit}".strip()
 
 
-def support_text(support: Support, dim: int, axes: str = "xyz") -> str:
-    """Return the prescribed components as text, equal ones together: '$u_x$ = $u_y$ = 0'."""
+def _points(posed: ContactProblem) -> dict[str, np.ndarray]:
+    """The points at which something holds a body, m."""
+    return {support.place: np.array(support.point) for support in posed.supports if support.boundary is None}
+
+
+def support_text(support: AnySupport, dim: int, axes: str = "xyz") -> str:
+    """Return the prescribed components as text, equal ones together: '$u_x$ = $u_y$ = 0'; or what else holds."""
+    if isinstance(support, Symmetry):
+        return "symmetry: $u_n$ = 0"
+    if isinstance(support, Spring | PointSpring):
+        names, unit = (("normal", "tangential"), "N/m³") if isinstance(support, Spring) else ("xyz"[:dim], "N/m")
+        return "springs " + ", ".join(f"{name} {_value(getattr(support, name), unit)}" for name in names
+                                      if callable(getattr(support, name)) or getattr(support, name))
     values: dict[str, list[str]] = {}
     for axis, value in zip(axes, support.components(dim), strict=False):
         if value is not None:

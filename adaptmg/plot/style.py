@@ -11,12 +11,15 @@ from collections.abc import Iterable, Sequence
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.mathtext import MathTextParser
+from matplotlib.transforms import ScaledTranslation
 
 from adaptmg import _checks as checks
 from adaptmg._text import printable
@@ -25,9 +28,9 @@ from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
 
 __all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "STATE_COLORS",
-           "STATE_INKS", "STATE_NAMES", "axes_of", "axis_names", "body_fills", "bounds", "canvas", "halves",
-           "label_text", "new_figure", "number", "plain", "polylines", "quoted", "scaled", "shade", "state_lines",
-           "stated_curve", "states_of", "styled"]
+           "STATE_INKS", "STATE_NAMES", "axes_of", "axis_names", "body_fills", "bounds", "canvas", "entitle",
+           "halves", "label_text", "legend_below", "new_figure", "number", "plain", "polylines", "quoted", "scaled",
+           "shade", "state_lines", "stated_curve", "states_of", "styled"]
 
 INK, GREY, PALE = "#1f2328", "#8a9099", "#eceef1"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
@@ -36,7 +39,7 @@ BODY_COLORS = ("#b9d3ea", "#f3d9b1", "#bfe0c8", "#e3c8dd", "#d9d6cf", "#f4efb5",
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#806000", INK)
 
 _STYLE = {
-    "figure.dpi": 120, "savefig.dpi": 200, "savefig.bbox": "tight", "figure.facecolor": "white",
+    "figure.dpi": 120, "figure.facecolor": "white",
     "axes.facecolor": "white", "font.family": "sans-serif", "font.size": 9.5, "axes.titlesize": 10.5,
     "axes.labelsize": 9.5, "axes.titlepad": 8, "axes.edgecolor": "#5b626b",
     "axes.labelcolor": INK, "text.color": INK, "xtick.color": "#3f454d", "ytick.color": "#3f454d",
@@ -54,11 +57,26 @@ _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, 
 
 
 class _Picture(Figure):
-    """A figure that notebooks show without pyplot."""
+    """A figure that notebooks show without pyplot; it is saved whole, without empty margins."""
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Draw with a layout that has settled: axes of fixed proportions move what stands beside them."""
+        before, engine = np.inf, self.get_layout_engine()
+        for _ in range(4 if engine is not None else 0):
+            engine.execute(self)
+            places = np.array([ax.get_position(original=True).extents for ax in self.axes])
+            if np.abs(places - before).max(initial=0.0) < 1e-3:
+                break
+            before = places
+        super().draw(renderer)
+
+    def savefig(self, fname: object, **options: object) -> None:
+        """Save as matplotlib does, by default with ``bbox_inches="tight"``."""
+        super().savefig(fname, **{"bbox_inches": "tight", **options})
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
-        self.savefig(buffer, format="png", bbox_inches="tight")
+        self.savefig(buffer, format="png")
         return buffer.getvalue()
 
 
@@ -76,6 +94,22 @@ def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
     if (checks.instance("ax", ax, Axes, "matplotlib axes").name == "3d") != (dim == 3):
         raise ValueError(f"ax must be {'three' if dim == 3 else 'two'}-dimensional")
     return ax
+
+
+def entitle(ax: Axes, text: str) -> None:
+    """Set a title above everything: the labels of three-dimensional axes seen from below run along the upper side."""
+    figure = ax.get_figure(root=True)
+    if ax.name == "3d" and isinstance(figure, _Picture) and figure.axes[0] is ax:
+        figure.suptitle(text, fontsize=10.5)
+    else:
+        ax.set_title(text, pad=30 if ax.name == "3d" and ax.elev < 0 else None)
+
+
+def legend_below(ax: Axes, handles: Sequence[Artist]) -> None:
+    """Add a legend below axes and their labels."""
+    below = ScaledTranslation(0, -0.5 if ax.name != "3d" else -0.1, ax.get_figure(root=True).dpi_scale_trans)
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=ax.transAxes + below,
+              ncols=min(len(handles), 4), borderaxespad=0.0)
 
 
 def axes_of(axes: Sequence[Axes], count: int) -> list[Axes]:

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.backend_bases import RendererBase
+from matplotlib.backends.backend_template import RendererTemplate
 from matplotlib.colors import to_rgb
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d import Axes3D
 
 from adaptmg._runtime import kernel
@@ -38,6 +40,7 @@ class Lines:
     color: str
     width: float  # points
     dash: tuple[float, float] = (1.0, 0.0)  # (on, off): points; off = 0 for a solid line
+    hidden: str | None = None  # colour of the parts behind the surface; None: not drawn
 
 
 def draw_facets(ax: Axes3D, corners: np.ndarray, colors: np.ndarray, lines: bool | None = None,
@@ -60,7 +63,7 @@ class Surface(Artist):
         colors = np.asarray(colors, dtype=np.float64)[..., :3]
         self.colors = np.broadcast_to(colors[:, None] if colors.ndim == 2 else colors, (len(self.corners), 3, 3))
         self.width, self.lines, self.shading = width, tuple(lines), shading
-        self.set_in_layout(False)
+        self.set_clip_on(False)
         self.set_zorder(1)
 
     def draw(self, renderer: RendererBase) -> None:
@@ -72,6 +75,20 @@ class Surface(Artist):
             graphics = renderer.new_gc()
             renderer.draw_image(graphics, x, y, image)
             graphics.restore()
+
+    def get_tightbbox(self, renderer: RendererBase | None = None) -> Bbox:
+        """Return the box of triangles and lines and, which matplotlib's layout leaves out, of the axes' labels."""
+        parts = [self._project(self.corners)[..., :2].reshape(-1, 2)]
+        parts += [self._project(line.ends)[..., :2].reshape(-1, 2) for line in self.lines]
+        boxes = [Bbox([np.min(part, axis=0), np.max(part, axis=0)]) for part in parts if len(part)]
+        axes = self.axes
+        if axes._axis3don:
+            # labels are placed when they are drawn, here to nowhere
+            axes.M = axes.get_proj()
+            for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+                axis.draw(RendererTemplate(72))
+                boxes += [axis.get_tightbbox(renderer), axis.label.get_window_extent(renderer)]
+        return Bbox.union([box for box in boxes if box is not None])
 
     def raster(self, point: float, magnification: float = 1.0) -> tuple[np.ndarray, float, float]:
         """Return the picture in the present view, and the pixel of its lower left corner."""
@@ -92,7 +109,10 @@ class Surface(Artist):
         bias = 0.01 * float(np.ptp(seen[:, 2]))
         for line, ends in zip(self.lines, lines, strict=True):
             on, off = (part * point * finer for part in line.dash)
-            raster_segments(ends, np.array(to_rgb(line.color)), line.width * point * finer, on, off, bias, image, depth)
+            for color, nearer in ((line.hidden, np.inf), (line.color, bias)):
+                if color is not None:
+                    raster_segments(ends, np.array(to_rgb(color)), line.width * point * finer, on, off, nearer, image,
+                                    depth)
         # colours weighted by coverage, so that edges fade out without a dark rim
         image[..., :3] *= image[..., 3:]
         mean = image.reshape(rows, _FINER, columns, _FINER, 4).mean(axis=(1, 3))

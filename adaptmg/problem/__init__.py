@@ -3,9 +3,19 @@
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.laws import Coulomb, Frictionless, Law, Tresca
 from adaptmg.problem.load_path import LoadPath, step_problem
-from adaptmg.problem.loads import BodyForce, InitialStrain, Pressure, Support, Traction
+from adaptmg.problem.loads import (
+    BodyForce,
+    InitialStrain,
+    PointSpring,
+    PointSupport,
+    Pressure,
+    Spring,
+    Support,
+    Symmetry,
+    Traction,
+)
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStrain, PlaneStress, Solid
-from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
+from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import (
     Assembly,
     Ball,
@@ -20,8 +30,12 @@ from adaptmg.problem.solid_domains import (
 )
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
 
-__all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Common", "Contact", "ContactPair", "ContactProblem",
-           "Coulomb", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless", "Fuse", "GapFunction",
-           "InitialStrain", "Law", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain", "PlaneStress", "Polygon",
-           "Pressure", "Rectangle", "Revolution", "Solid", "StepFile", "Support", "Traction", "Tresca",
-           "step_problem"]
+__all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact", "ContactPair",
+           "ContactProblem", "Coulomb", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless", "Fuse",
+           "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain", "PlaneStress",
+           "PointSpring", "PointSupport", "Polygon", "Pressure", "Rectangle", "Revolution", "Solid", "Spring",
+           "StepFile", "Support", "Symmetry", "Traction", "Tresca", "step_problem"]
+
+
+def __dir__() -> list[str]:
+    return __all__

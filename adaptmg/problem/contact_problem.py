@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import get_args
 
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.problem.laws import Law
-from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Support, Traction
+from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Pressure, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
@@ -38,6 +40,11 @@ class Contact:
         What it may touch.
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
+
+    Examples
+    --------
+    >>> am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1))).boundary
+    'bottom'
     """
 
     boundary: str
@@ -52,7 +59,10 @@ class Contact:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactProblem:
-    """Elastic bodies in contact: pure data in SI units, without a mesh.
+    """Elastic bodies in contact: pure data in SI units (m, N, Pa), without a mesh.
+
+    The theory is linear but for contact and friction: small strains and slips, isotropic linear elasticity, linear
+    elements; contact is sought in the undeformed position. :func:`adaptmg.solve` warns where a solution goes beyond.
 
     Parameters
     ----------
@@ -62,23 +72,34 @@ class ContactProblem:
     law : Frictionless, Tresca, Coulomb or user-defined
         The same on all contact boundaries (its parameters may vary in space).
     loads : sequence of Pressure, Traction, BodyForce, InitialStrain
-    supports : sequence of Support
+    supports : sequence of Support, Symmetry, PointSupport, Spring, PointSpring
     domain : Domain, optional
         The geometry: Rectangle, Box, Polygon, Outline, Assembly, ...; not needed when every mesh is given by the user.
     name : str
         For tables and pictures.
     reference : mapping
         Reference values and their sources, as the case provides them.
+
+    Examples
+    --------
+    >>> posed = am.ContactProblem(
+    ...     domain=am.Rectangle(width=1.0, height=1.0), material=am.PlaneStrain(young=2e11, poisson=0.3),
+    ...     contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))), law=am.Coulomb(0.3),
+    ...     loads=(am.Pressure("top", 1e6),), supports=(am.Support("left", x=0),))
+    >>> posed.dim
+    2
     """
 
     material: Elastic | Mapping[str, Elastic]
     contact: Contact | ContactPair | tuple[Contact | ContactPair, ...]
     law: Law
     loads: tuple[Load, ...] = ()
-    supports: tuple[Support, ...] = ()
+    supports: tuple[AnySupport, ...] = ()
     domain: Domain | None = None
     name: str = "contact problem"
     reference: Mapping[str, object] = field(default_factory=dict)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         if not isinstance(self.material, Elastic):
@@ -88,7 +109,7 @@ class ContactProblem:
             raise ValueError("contact is empty: a contact problem needs a Contact or a ContactPair")
         check_law(self.law)
         checks.convert(self, checks.items, "loads", types=_LOADS)
-        checks.convert(self, checks.items, "supports", types=Support)
+        checks.convert(self, checks.items, "supports", types=get_args(AnySupport))
         checks.boundary_name("name", self.name)
         checks.instance("reference", self.reference, Mapping, "a mapping of names to values")
         for load in self.loads:
@@ -97,6 +118,9 @@ class ContactProblem:
                 raise ValueError(f"{checks.shown(load)} has {len(load.components)} components in a {self.dim}D problem")
         for support in self.supports:
             support.components(self.dim)
+            if support.boundary is None and len(support.point) != self.dim:
+                raise ValueError(f"{checks.shown(support)} is at a point with {len(support.point)} components in a "
+                                 f"{self.dim}D problem")
         _check_contact(self.contact, self.dim)
         self._check_name_contact()
         if self.domain is not None:
@@ -115,7 +139,7 @@ class ContactProblem:
         """What each boundary that the problem names is used for."""
         used = dict.fromkeys(self.pair_boundaries, "contact")
         used |= {load.boundary: "a load" for load in self.loads if isinstance(load, Pressure | Traction)}
-        return used | {support.boundary: "a support" for support in self.supports}
+        return used | {support.boundary: "a support" for support in self.supports if support.boundary is not None}
 
     def _check_domain(self, domain: Domain) -> None:
         checks.instance("domain", domain, Domain, "a Domain (Rectangle, Box, Polygon, Outline, Assembly, ...)")
@@ -165,14 +189,6 @@ class ContactProblem:
         return tuple(dict.fromkeys(name for pair in zip(self.contact_boundaries, self.masters, strict=True)
                                    for name in pair if name))
 
-    @property
-    def held_components(self) -> dict[str, str]:
-        """By boundary the components that supports prescribe, such as "xy"."""
-        held = {support.boundary: "" for support in self.supports}
-        for support in self.supports:
-            held[support.boundary] += "".join(c for c in "xyz" if getattr(support, c) is not None)
-        return held
-
     def check_boundaries(self, known: tuple[str, ...]) -> None:
         """Raise ValueError unless every boundary named by the problem is one of ``known``."""
         for boundary, use in self._uses().items():
@@ -186,10 +202,11 @@ class ContactProblem:
         if not isinstance(self.material, Elastic) and set(self.material) != set(known):
             raise ValueError(f"material must name each body once: the bodies are {', '.join(map(repr, known))}, "
                              f"material names {', '.join(map(repr, self.material))}")
-        for load in self.loads:
-            body = load.body if isinstance(load, BodyForce | InitialStrain) else None
+        for item in (*self.loads, *self.supports):
+            body = getattr(item, "body", None)
             if body is not None and body not in known:
-                raise ValueError(f"body {body!r}, used for a load, does not exist"
+                use = "a load" if item in self.loads else "a support"
+                raise ValueError(f"body {body!r}, used for {use}, does not exist"
                                  f"{checks.suggestion(body, known)}; the bodies are {', '.join(map(repr, known))}")
 
 

@@ -16,8 +16,10 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 
 __all__ = ["Coulomb", "Frictionless", "Law", "Tresca"]
 
@@ -36,7 +38,7 @@ class Law(Protocol):
         """Return nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
 
 
-def _nodal(name: str, value: FieldLike | np.ndarray, n: int) -> np.ndarray:
+def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
     if callable(value):
         raise TypeError(f"{name}: a function of position must be evaluated at the nodes first (at_nodes)")
     if np.shape(value) not in ((), (n,)):
@@ -44,7 +46,7 @@ def _nodal(name: str, value: FieldLike | np.ndarray, n: int) -> np.ndarray:
     return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (n,)))
 
 
-def _parameter(name: str, value: FieldLike | np.ndarray) -> FieldLike | np.ndarray:
+def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike:
     array = None if isinstance(value, np.ma.MaskedArray) else checks.real_array(value)
     if array is None:
         raise TypeError(f"{name} must be a number, a function of position or an array, got {checks.described(value)}")
@@ -53,7 +55,7 @@ def _parameter(name: str, value: FieldLike | np.ndarray) -> FieldLike | np.ndarr
     return value
 
 
-def _at_points(name: str, value: FieldLike | np.ndarray, points: np.ndarray) -> np.ndarray:
+def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> np.ndarray:
     if isinstance(value, np.ndarray) and value.ndim:
         raise TypeError(f"{name} must be a number or a function of position on a ContactProblem; arrays over contact "
                         "nodes belong on a DiscreteProblem")
@@ -69,7 +71,13 @@ def _with(law: _AnyLaw, name: str, values: np.ndarray) -> _AnyLaw:
 
 @dataclass(frozen=True, eq=False)
 class Frictionless:
-    """No tangential force: f_t = 0."""
+    """No tangential force: f_t = 0.
+
+    Examples
+    --------
+    >>> isinstance(am.cases.greco_bar(law=am.Frictionless()).law, am.Frictionless)
+    True
+    """
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Frictionless:
         return self
@@ -87,9 +95,16 @@ class Tresca:
     limit : float, callable or array
         On a ContactProblem a traction in Pa (number or function of position); on a DiscreteProblem the nodal
         forces in N (number or array over the contact nodes).
+
+    Examples
+    --------
+    >>> am.Tresca(2e6).limit                                            # Pa
+    2000000.0
     """
 
-    limit: FieldLike | np.ndarray
+    limit: FieldLike | ArrayLike
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.function_or, "limit", check=_parameter)
@@ -110,9 +125,17 @@ class Coulomb:
     ----------
     friction : float, callable or array
         The coefficient (number or function of position; on a DiscreteProblem also an array over the contact nodes).
+
+    Examples
+    --------
+    >>> am.Coulomb(0.3).friction
+    0.3
+    >>> rough = am.Coulomb(lambda x: 0.1 + x[:, 0])
     """
 
-    friction: FieldLike | np.ndarray
+    friction: FieldLike | ArrayLike
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.function_or, "friction", check=_parameter)

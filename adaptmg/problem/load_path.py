@@ -12,8 +12,9 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Support
+from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSupport, Pressure, Support
 
 __all__ = ["BODY_FORCE", "DEFAULT", "LoadPath", "Scaled", "name_in_path", "names_in_path", "step_problem"]
 
@@ -33,8 +34,9 @@ class LoadPath:
     Parameters
     ----------
     factors : mapping of str to float or sequence of float
-        Factor of each step, by name: a boundary (all loads and prescribed displacements there), a body (its
-        InitialStrain and BodyForce) or "body force" (body forces of all bodies). A single number holds in all steps.
+        Factor of each step, by name: a boundary (all loads and prescribed displacements there), "point (0, 1)" of a
+        PointSupport, a body (its InitialStrain and BodyForce) or "body force" (body forces of all bodies). A single
+        number holds in all steps.
         Factors below 1e-14 of the largest of their sequence, what rounding leaves of zero, become zero.
     default : float or sequence of float
         Factor of what is not named.
@@ -46,11 +48,15 @@ class LoadPath:
 
     Examples
     --------
-    >>> am.LoadPath({"top": [1, 1, 1], "left": [0, 0.5, 1]})
+    >>> path = am.LoadPath({"top": [1, 1, 1], "left": [0, 0.5, 1]})
+    >>> path.factors["left"].tolist()
+    [0.0, 0.5, 1.0]
     """
 
     factors: Mapping[str, Factors] = field(default_factory=dict)
     default: Factors = 1.0
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         values = {}
@@ -97,13 +103,13 @@ class LoadPath:
         return {name: self.of(name) for name in names}
 
 
-def name_in_path(item: Load | Support) -> str:
+def name_in_path(item: Load | AnySupport) -> str:
     """The name under which a path scales a load or support."""
     if isinstance(item, InitialStrain):
         return item.body
     if isinstance(item, BodyForce):
         return BODY_FORCE if item.body is None else item.body
-    return item.boundary
+    return item.boundary or item.place
 
 
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
@@ -192,5 +198,7 @@ def _load(load: Load, factor: float) -> Load:
     return replace(load, components=tuple(_times(value, factor) for value in load.components))
 
 
-def _support(support: Support, factor: float) -> Support:
+def _support(support: AnySupport, factor: float) -> AnySupport:
+    if not isinstance(support, Support | PointSupport):
+        return support
     return replace(support, **{axis: _times(getattr(support, axis), factor) for axis in "xyz"})

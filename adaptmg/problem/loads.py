@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 
-__all__ = ["BodyForce", "InitialStrain", "Load", "Pressure", "Support", "Traction"]
+__all__ = ["AnySupport", "BodyForce", "InitialStrain", "Load", "PointSpring", "PointSupport", "Pressure", "Spring",
+           "Support", "Symmetry", "Traction"]
 
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
 
@@ -34,6 +37,12 @@ class Pressure:
         Name of the boundary.
     value : float or callable
         Pa; positive pushes into the body.
+
+    Examples
+    --------
+    >>> am.Pressure("top", 5e7).value
+    50000000.0
+    >>> ramp = am.Pressure("top", lambda x: 1e9 * x[:, 0])            # Pa, at points (n, dim)
     """
 
     boundary: str
@@ -54,6 +63,11 @@ class Traction:
         Name of the boundary.
     components : sequence of float or callable
         Cartesian components, Pa.
+
+    Examples
+    --------
+    >>> am.Traction("top", (0.0, 1e6)).components
+    (0.0, 1000000.0)
     """
 
     boundary: str
@@ -74,6 +88,11 @@ class BodyForce:
         Cartesian components, N/m^3.
     body : str, optional
         Name of the body it acts on; all by default.
+
+    Examples
+    --------
+    >>> am.BodyForce((0.0, -9.81 * 7850)).components
+    (0.0, -77008.5)
     """
 
     components: tuple[FieldLike, ...]
@@ -99,6 +118,11 @@ class InitialStrain:
     components : sequence of float or callable
         Normal strains; shear strains are zero. In 2D (xx, yy) or (xx, yy, zz), axisymmetric (rr, zz) or (rr, zz,
         hoop), the third being 0 where it is left out; in 3D (xx, yy, zz). Negative shortens.
+
+    Examples
+    --------
+    >>> am.InitialStrain("bolt", (0.0, -1e-3)).components
+    (0.0, -0.001)
     """
 
     body: str
@@ -112,8 +136,65 @@ class InitialStrain:
 Load = Pressure | Traction | BodyForce | InitialStrain
 
 
+class _Holds:
+    """What holds bodies: the base class of all supports."""
+
+    boundary: str | None  # None at a point
+
+    @property
+    def place(self) -> str:
+        """The name of the boundary, or the point."""
+        return self.boundary
+
+    def components(self, dim: int) -> tuple[FieldLike | None, ...]:
+        """The prescribed components in ``dim`` dimensions."""
+        return (None,) * dim
+
+
+class _Prescribes(_Holds):
+    """What prescribes x, y, z."""
+
+    x: FieldLike | None
+    y: FieldLike | None
+    z: FieldLike | None
+
+    def _check(self) -> None:
+        for name in "xyz":
+            if getattr(self, name) is not None:
+                checks.convert(self, checks.function_or, name)
+        if self.x is None and self.y is None and self.z is None:
+            raise ValueError(f"support on {self.place!r} fixes nothing: give x, y or z a displacement in m")
+
+    def components(self, dim: int) -> tuple[FieldLike | None, ...]:
+        """The prescribed components in ``dim`` dimensions."""
+        if dim == 2 and self.z is not None:
+            raise ValueError(f"support on {self.place!r}: z is prescribed in a 2D problem")
+        return (self.x, self.y, self.z)[:dim]
+
+
+class _AtPoint(_Holds):
+    """What holds a node."""
+
+    boundary: ClassVar[None] = None
+    point: tuple[float, ...]
+    body: str | None
+
+    def _check_point(self) -> None:
+        point = check_arrays.vector("point", self.point)
+        if point.size not in (2, 3):
+            raise ValueError(f"point must have 2 or 3 components, got {point.size}")
+        object.__setattr__(self, "point", tuple(point.tolist()))
+        if self.body is not None:
+            checks.boundary_name("body", self.body)
+
+    @property
+    def place(self) -> str:
+        """The point as text."""
+        return f"point ({', '.join(f'{x:.6g}' for x in self.point)})"
+
+
 @dataclass(frozen=True)
-class Support:
+class Support(_Prescribes):
     """Prescribed displacement components on a boundary; ``None`` leaves a component free.
 
     Parameters
@@ -122,6 +203,11 @@ class Support:
         Name of the boundary.
     x, y, z : float, callable or None
         Prescribed displacement, m; a function of position is taken at the nodes.
+
+    Examples
+    --------
+    >>> am.Support("right", x=0).x
+    0.0
     """
 
     boundary: str
@@ -131,14 +217,113 @@ class Support:
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
-        for name in "xyz":
-            if getattr(self, name) is not None:
-                checks.convert(self, checks.function_or, name)
-        if self.x is None and self.y is None and self.z is None:
-            raise ValueError(f"support on {self.boundary!r} fixes nothing: give x, y or z a displacement in m")
+        self._check()
+
+
+@dataclass(frozen=True)
+class Symmetry(_Holds):
+    """A plane of symmetry: no displacement normal to a boundary.
+
+    Parameters
+    ----------
+    boundary : str
+        Name of the boundary, which must be plane and normal to a coordinate axis.
+    """
+
+    boundary: str
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+
+
+@dataclass(frozen=True)
+class PointSupport(_Prescribes, _AtPoint):
+    """Prescribed displacement components of the node at a point, against rigid motions.
+
+    The stress at a node that carries a load grows without bound as meshes become finer: let it carry none.
+
+    Parameters
+    ----------
+    point : sequence of float
+        m. Every mesh must have a node there, as it has at each vertex of a Polygon or Outline.
+    x, y, z : float, callable or None
+        Prescribed displacement, m.
+    body : str, optional
+        Name of the body, where nodes of several lie at the point.
+    """
+
+    point: tuple[float, ...]
+    x: FieldLike | None = None
+    y: FieldLike | None = None
+    z: FieldLike | None = None
+    body: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check_point()
+        self._check()
+
+
+@dataclass(frozen=True)
+class Spring(_Holds):
+    """Springs between a boundary and the ground, an elastic foundation: traction ``-normal u_n n - tangential u_t``.
+
+    Parameters
+    ----------
+    boundary : str
+        Name of the boundary.
+    normal, tangential : float or callable
+        Stiffness along and across the normal, N/m^3 (Pa per m), >= 0.
+    """
+
+    boundary: str
+    normal: FieldLike = 0.0
+    tangential: FieldLike = 0.0
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("boundary", self.boundary)
+        checks.convert(self, checks.function_or, "normal", "tangential")
+        _check_stiffness(self, "normal", "tangential")
+
+
+@dataclass(frozen=True)
+class PointSpring(_AtPoint):
+    """Springs along the axes between the node at a point and the ground.
+
+    Parameters
+    ----------
+    point : sequence of float
+        m. Every mesh must have a node there, as it has at each vertex of a Polygon or Outline.
+    x, y, z : float
+        Stiffness, N/m (plane: per metre of thickness; axisymmetric: of the full circumference), >= 0.
+    body : str, optional
+        Name of the body, where nodes of several lie at the point.
+    """
+
+    point: tuple[float, ...]
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    body: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check_point()
+        checks.convert(self, checks.quantity, "x", "y", "z")
+        _check_stiffness(self, "x", "y", "z")
 
     def components(self, dim: int) -> tuple[FieldLike | None, ...]:
-        """The prescribed components in ``dim`` dimensions."""
-        if dim == 2 and self.z is not None:
-            raise ValueError(f"support on {self.boundary!r}: z is prescribed in a 2D problem")
-        return (self.x, self.y, self.z)[:dim]
+        """It prescribes none."""
+        if dim == 2 and self.z:
+            raise ValueError(f"spring at {self.place}: z has a stiffness in a 2D problem")
+        return (None,) * dim
+
+
+def _check_stiffness(spring: Spring | PointSpring, *names: str) -> None:
+    values = [getattr(spring, name) for name in names]
+    for name, value in zip(names, values, strict=True):
+        if not callable(value) and not value >= 0:
+            raise ValueError(f"{name} must be >= 0, got {value!r}")
+    if not any(values):
+        raise ValueError(f"the spring on {spring.place!r} has no stiffness: give {' or '.join(names)}")
+
+
+AnySupport = Support | Symmetry | PointSupport | Spring | PointSpring

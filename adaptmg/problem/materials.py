@@ -22,7 +22,8 @@ _FROM_LIMIT = 1e-9  # closer to its limits, one modulus is of the size of roundi
 class Elastic:
     """Isotropic linear elasticity; use one of the subclasses.
 
-    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5); P1 elements lock well before 0.5.
+    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5). Strains are to be small (a few per
+    cent). Above 0.49 linear elements lock, but in plane stress: they are too stiff, and stresses oscillate.
     """
 
     young: float
@@ -49,14 +50,26 @@ class Elastic:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneStrain(Elastic):
-    """Plane strain: a long body, strain only in the plane. Forces are per metre of length."""
+    """Plane strain: a long body, strain only in the plane. Forces are per metre of length.
+
+    Examples
+    --------
+    >>> am.PlaneStrain(young=2.1e11, poisson=0.3).young
+    210000000000.0
+    """
 
     dim: ClassVar[int] = 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneStress(Elastic):
-    """Plane stress: a thin sheet. Forces are per metre of thickness."""
+    """Plane stress: a thin sheet. Forces are per metre of thickness.
+
+    Examples
+    --------
+    >>> am.PlaneStress(young=2.1e11, poisson=0.3).young
+    210000000000.0
+    """
 
     dim: ClassVar[int] = 2
 
@@ -71,6 +84,11 @@ class Axisymmetric(Elastic):
     """A body of revolution without torsion: x is the radius r >= 0, y the axial coordinate z.
 
     All forces are those over the full circumference, N: integrals are weighted with 2 pi r.
+
+    Examples
+    --------
+    >>> am.Axisymmetric(young=2.1e11, poisson=0.3).poisson
+    0.3
     """
 
     dim: ClassVar[int] = 2
@@ -78,6 +96,12 @@ class Axisymmetric(Elastic):
 
 @dataclass(frozen=True, kw_only=True)
 class Solid(Elastic):
-    """A three-dimensional body."""
+    """A three-dimensional body.
+
+    Examples
+    --------
+    >>> am.Solid(young=2.1e11, poisson=0.3).young
+    210000000000.0
+    """
 
     dim: ClassVar[int] = 3

@@ -9,14 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 
-__all__ = ["Arc", "Box", "Domain", "Outline", "Polygon", "Rectangle", "corner"]
+__all__ = ["Arc", "Box", "Circle", "Domain", "Outline", "Polygon", "Rectangle", "Segment", "corner",
+           "distance_to_segments"]
 
 _ROUND = 1e-9  # radii at the two ends of an arc may differ by this much of the radius
 _CHORD = math.radians(3.0)
@@ -72,6 +75,11 @@ class Rectangle(Domain):
         m, > 0.
     origin : pair of float
         Lower left corner, m.
+
+    Examples
+    --------
+    >>> am.Rectangle(width=0.2, height=0.1).boundaries
+    ('bottom', 'right', 'top', 'left')
     """
 
     width: float
@@ -104,6 +112,11 @@ class Box(Domain):
         Lengths along x, y and z, m, > 0.
     origin : triple of float
         Lowest corner, m.
+
+    Examples
+    --------
+    >>> am.Box(width=0.2, depth=0.1, height=0.1).boundaries
+    ('bottom', 'right', 'top', 'left', 'front', 'back')
     """
 
     width: float
@@ -134,13 +147,23 @@ def _check_edges(domain: Polygon | Outline, least: int) -> None:
     object.__setattr__(domain, "vertices", tuple(map(tuple, points.tolist())))
 
 
-def _area(vertices: tuple[tuple[float, float], ...], bulges: float = 0.0) -> float:
-    """The signed area of a polygon whose edges bulge outwards by ``bulges``, m^2."""
+def _area(vertices: tuple[tuple[float, float], ...], bulges: float = 0.0, hole: bool = False) -> float:
+    """The signed area of a polygon whose edges bulge outwards by ``bulges``, m^2; negative for a hole."""
     x, y = np.array(vertices).T
     area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) + bulges
-    if not area > 0:
+    if hole and not area < 0:
+        raise ValueError(f"vertices of a hole must run clockwise around it, got a signed area of {area}")
+    if not hole and not area > 0:
         raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of {area}")
     return area
+
+
+def distance_to_segments(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance (n,) of points (n, 2) to one segment, or to one segment each."""
+    u = b - a
+    along = (p - a) @ u / (u @ u) if u.ndim == 1 else np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1)
+    along = np.clip(along, 0.0, 1.0)
+    return np.linalg.norm(p - a - along[:, None] * u, axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,11 +176,19 @@ class Polygon(Domain):
         Corners in counter-clockwise order, m.
     boundaries : sequence of str
         ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
+
+    Examples
+    --------
+    >>> wedge = am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "slope", "left"))
+    >>> wedge.boundaries
+    ('bottom', 'slope', 'left')
     """
 
     vertices: tuple[tuple[float, float], ...]
     boundaries: tuple[str, ...]
     dim: ClassVar[int] = 2
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         _check_edges(self, 3)
@@ -170,6 +201,27 @@ class Polygon(Domain):
 
     def _extremes(self) -> np.ndarray:
         return np.array(self.vertices)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A straight edge."""
+
+    start: np.ndarray  # (2,), m
+    end: np.ndarray
+
+    def at(self, fractions: np.ndarray) -> np.ndarray:
+        """Points (n, 2), m, at fractions (n,) of the length."""
+        return self.start + np.asarray(fractions, dtype=np.float64)[..., None] * (self.end - self.start)
+
+    def along(self, point: np.ndarray) -> float:
+        """The fraction of the length at which a point of the edge lies."""
+        u = self.end - self.start
+        return float((point - self.start) @ u / (u @ u))
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance (n,) of points (n, 2) to the edge, m."""
+        return distance_to_segments(points, self.start, self.end)
 
 
 @dataclass(frozen=True)
@@ -196,6 +248,12 @@ class Arc:
         directions = self.start + np.asarray(fractions, dtype=np.float64) * self.angle
         return np.array(self.center) + self.radius * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
 
+    def along(self, point: np.ndarray) -> float:
+        """The fraction of the angle at which a point of the arc lies."""
+        x, y = point - np.array(self.center)
+        turn = math.atan2(y, x) - self.start - 0.5 * self.angle
+        return 0.5 + ((turn + math.pi) % (2 * math.pi) - math.pi) / self.angle
+
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Distance (n,) of points (n, 2) to the arc, m."""
         offset = points - np.array(self.center)
@@ -209,7 +267,7 @@ class Arc:
 
 @dataclass(frozen=True, kw_only=True)
 class Outline(Domain):
-    """A plane domain like :class:`Polygon`, some of whose edges are circular arcs.
+    """A plane domain like :class:`Polygon`, some of whose edges are circular arcs; it may have holes.
 
     Meshes are straight: their nodes lie on the arcs, their edges are chords.
 
@@ -220,18 +278,36 @@ class Outline(Domain):
     arcs : mapping of int to pair of float
         Edge i is the shorter arc about the centre ``arcs[i]``, m: less than 180 degrees, both vertices at the same
         distance from the centre. A full circle takes three edges or more. Other edges are straight.
+    holes : sequence of int
+        Numbers of the vertices at which holes begin: the vertices of each follow those of the outer edge, clockwise,
+        so that the body lies to the left of every edge. The last edge of each closes it. ``Cut`` makes holes.
+
+    Examples
+    --------
+    >>> quarter = am.Outline(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "arc", "left"), arcs={1: (0, 0)})
+    >>> quarter.boundaries
+    ('bottom', 'arc', 'left')
     """
 
     vertices: tuple[tuple[float, float], ...]
     boundaries: tuple[str, ...]
     arcs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    holes: tuple[int, ...] = ()
     dim: ClassVar[int] = 2
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         _check_edges(self, 2)
         arcs = {checks.integer("the edge number in arcs", i): corner(f"arcs[{i}]", center, 2)
                 for i, center in checks.mapping("arcs", self.arcs, "edge numbers to centres").items()}
         object.__setattr__(self, "arcs", dict(sorted(arcs.items())))
+        holes = tuple(checks.integer("holes", i) for i in checks.listed("holes", self.holes, "vertex numbers"))
+        object.__setattr__(self, "holes", holes)
+        ends = (0, *holes, len(self.vertices))
+        if holes and min(b - a for a, b in pairwise(ends)) < 2:
+            raise ValueError("holes must be ascending vertex numbers, two or more apart, from 2 to "
+                             f"{len(self.vertices) - 2}, got {holes}")
         for i in arcs:
             if i >= len(self.vertices):
                 raise ValueError(f"arcs names edge {i}, but there are {len(self.vertices)} edges, counted from 0")
@@ -239,7 +315,7 @@ class Outline(Domain):
         _ = self.area
 
     def __hash__(self) -> int:
-        return hash((self.vertices, self.boundaries, tuple(self.arcs.items())))
+        return hash((self.vertices, self.boundaries, tuple(self.arcs.items()), self.holes))
 
     def _check_arc(self, i: int) -> None:
         a, b, c = (np.array(p) for p in (*self._ends(i), self.arcs[i]))
@@ -254,8 +330,16 @@ class Outline(Domain):
         if not np.linalg.norm(a + b - 2 * c) > 1e-6 * first:
             raise ValueError(f"{name}: an arc of 180 degrees has no shorter side; cut it into two edges")
 
+    @property
+    def following(self) -> np.ndarray:
+        """For each vertex (n,) the next one around the outer edge, or around its hole."""
+        result = np.arange(1, len(self.vertices) + 1)
+        for first, last in pairwise((0, *self.holes, len(self.vertices))):
+            result[last - 1] = first
+        return result
+
     def _ends(self, i: int) -> tuple[tuple[float, float], tuple[float, float]]:
-        return self.vertices[i], self.vertices[(i + 1) % len(self.vertices)]
+        return self.vertices[i], self.vertices[self.following[i]]
 
     def arc(self, i: int) -> Arc | None:
         """Edge i as an arc, None if it is straight."""
@@ -266,10 +350,15 @@ class Outline(Domain):
         angle = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
         return Arc(center, 0.5 * (math.hypot(ax, ay) + math.hypot(bx, by)), math.atan2(ay, ax), angle)
 
+    def edge(self, i: int) -> Arc | Segment:
+        """Edge i."""
+        return self.arc(i) or Segment(*map(np.array, self._ends(i)))
+
     @property
     def area(self) -> float:
         """Exact area, m^2."""
-        return _area(self.vertices, sum(self.arc(i).bulge for i in self.arcs))
+        return sum(_area(self.vertices[a:b], sum(self.arc(i).bulge for i in self.arcs if a <= i < b), hole=a > 0)
+                   for a, b in pairwise((0, *self.holes, len(self.vertices))))
 
     @property
     def lengths(self) -> tuple[float, ...]:
@@ -277,8 +366,8 @@ class Outline(Domain):
         return tuple(math.dist(*self._ends(i)) if i not in self.arcs else self.arc(i).length
                      for i in range(len(self.vertices)))
 
-    def chords(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n, 2), m, on the outline in order, arcs cut every 3 degrees, and the edge (n,) each point begins."""
+    def chords(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points (n, 2), m, in order, arcs cut every 3 degrees; for each (n,) its edge, and the number of the next."""
         points, edges = [], []
         for i, vertex in enumerate(self.vertices):
             n = 1
@@ -288,13 +377,19 @@ class Outline(Domain):
                 n = max(1, math.ceil(abs(arc.angle) / _CHORD))
                 points.append(arc.at(np.arange(1, n) / n))
             edges.append(np.full(n, i))
-        return np.concatenate(points), np.concatenate(edges)
+        edge = np.concatenate(edges)
+        first = np.searchsorted(edge, [0, *self.holes])
+        following = np.arange(1, len(edge) + 1)
+        following[np.append(first[1:], len(edge)) - 1] = first
+        return np.concatenate(points), edge, following
 
     @property
     def polygon(self) -> Polygon:
-        """The outline with arcs replaced by chords of at most 3 degrees: for pictures and checks, not for meshes."""
-        points, edges = self.chords()
-        return Polygon(vertices=tuple(map(tuple, points.tolist())), boundaries=tuple(self.boundaries[i] for i in edges))
+        """The outer edge with arcs replaced by chords of at most 3 degrees."""
+        points, edges, _ = self.chords()
+        outer = edges < (self.holes[0] if self.holes else len(self.vertices))
+        return Polygon(vertices=tuple(map(tuple, points[outer].tolist())),
+                       boundaries=tuple(self.boundaries[i] for i in edges[outer]))
 
     def _extremes(self) -> np.ndarray:
         """Vertices and the points of the arcs with horizontal or vertical tangents."""
@@ -304,3 +399,49 @@ class Outline(Domain):
             fractions = (0.5 * math.pi * np.arange(-6, 7) - arc.start) / arc.angle
             points.append(arc.at(fractions[(fractions > 0) & (fractions < 1)]))
         return np.concatenate(points)
+
+
+@dataclass(frozen=True)
+class Circle(Domain):
+    """A disc with one boundary around it; cut from a plate it is a round hole.
+
+    Parameters
+    ----------
+    centre : pair of float
+        m.
+    radius : float
+        m, > 0.
+    boundary : str
+        Name of its edge.
+
+    Examples
+    --------
+    >>> from adaptmg.problem import Cut, Rectangle
+    >>> Cut(Rectangle(width=0.2, height=0.1), Circle((0.1, 0.05), 0.01, "hole")).boundaries
+    ('bottom', 'right', 'top', 'left', 'hole')
+    """
+
+    centre: tuple[float, float]
+    radius: float
+    boundary: str = "circle"
+    dim: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        checks.convert(self, corner, "centre", dim=2)
+        checks.convert(self, checks.quantity, "radius", positive=True)
+        checks.boundary_name("boundary", self.boundary)
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Its one name."""
+        return (self.boundary,)
+
+    @property
+    def outline(self) -> Outline:
+        """The same as an outline of four arcs, which begins at the right."""
+        (x, y), r = self.centre, self.radius
+        return Outline(vertices=((x + r, y), (x, y + r), (x - r, y), (x, y - r)), boundaries=(self.boundary,) * 4,
+                       arcs=dict.fromkeys(range(4), self.centre))
+
+    def _extremes(self) -> np.ndarray:
+        return np.array([[-self.radius], [self.radius]]) + self.centre

@@ -2,14 +2,15 @@
 
 A solid knows its boundaries by name and its bounding box; only the mesh layer builds its geometry. When solids are
 combined, the names of faces survive: several faces may share one, and a name without a face is an error only where it
-is used.
+is used. Plane domains combined are an :class:`~adaptmg.problem.Outline` as soon as they are made.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,7 +18,9 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle, corner
+from adaptmg._text import brief
+from adaptmg.problem.plane_boolean import combined
+from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle, corner
 
 __all__ = ["Assembly", "Ball", "Combination", "Common", "Cut", "Cylinder", "Extrusion", "Fuse", "Moved", "Profile",
            "Revolution", "SolidDomain", "StepFile", "outline_of"]
@@ -27,16 +30,23 @@ Profile = Polygon | Outline | Rectangle
 _ON_AXIS = 1e-12  # relative to the profile: vertices nearer to the axis of revolution lie on it
 _PROFILE = "a Polygon, an Outline or a Rectangle"
 _SOLID = "a Box or another solid (Cylinder, Ball, Revolution, Cut, ...)"
+_PLANE = (Rectangle, Polygon, Outline, Circle)
 
 
 class SolidDomain(Domain):
-    """One body in space: the base class of the solids of this module."""
+    """One body in space (of plane domains combined: in the plane): the base class of the solids of this module."""
 
     dim: ClassVar[int] = 3
 
 
 def _direction(name: str, value: object) -> Triple:
     return tuple(map(float, check_arrays.direction(name, value, 3)))
+
+
+def _check_profile(profile: object) -> None:
+    checks.instance("polygon", profile, (Polygon, Outline, Rectangle), _PROFILE)
+    if isinstance(profile, Outline) and profile.holes:
+        raise ValueError("polygon has holes: make the solid of its outer edge, and Cut those of its holes from it")
 
 
 def outline_of(profile: Profile) -> Polygon | Outline:
@@ -56,6 +66,11 @@ class Cylinder(SolidDomain):
         Direction from bottom to top, of any length; stored as a unit vector.
     radius, height : float
         m, > 0.
+
+    Examples
+    --------
+    >>> am.Cylinder((0, 0, 0), (0, 0, 1), radius=0.1, height=0.5).height
+    0.5
     """
 
     point: Triple
@@ -85,6 +100,11 @@ class Ball(SolidDomain):
         m.
     radius : float
         m, > 0.
+
+    Examples
+    --------
+    >>> am.Ball((0, 0, 0.1), 0.1).radius
+    0.1
     """
 
     centre: Triple
@@ -112,13 +132,20 @@ class Revolution(SolidDomain):
         Profile in the half plane (r, z), r >= 0. It may touch the axis along edges, not at a single vertex.
     angle : float
         Degrees, 0 < angle <= 360.
+
+    Examples
+    --------
+    >>> am.Revolution(am.Rectangle(width=0.1, height=0.2, origin=(0.1, 0)), angle=90).angle
+    90.0
     """
 
     polygon: Profile
     angle: float = 360.0
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
-        checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle), _PROFILE)
+        _check_profile(self.polygon)
         checks.convert(self, checks.positive, "angle")
         if not self.angle <= 360:
             raise ValueError(f"angle must be at most 360 degrees, got {self.angle!r}")
@@ -162,14 +189,22 @@ class Extrusion(SolidDomain):
         m, > 0.
     base : float
         z of the bottom, m.
+
+    Examples
+    --------
+    >>> corner = am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("south", "slope", "west"))
+    >>> am.Extrusion(corner, height=0.01).height
+    0.01
     """
 
     polygon: Profile
     height: float
     base: float = 0.0
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
-        checks.instance("polygon", self.polygon, (Polygon, Outline, Rectangle), _PROFILE)
+        _check_profile(self.polygon)
         checks.convert(self, checks.quantity, "height", positive=True)
         checks.convert(self, checks.quantity, "base")
         if {"bottom", "top"} & set(self.polygon.boundaries):
@@ -198,6 +233,11 @@ class Moved(SolidDomain):
         Degrees, right-handed about ``axis``.
     axis : triple of float
         Direction, of any length; stored as a unit vector.
+
+    Examples
+    --------
+    >>> am.Moved(am.Ball((0, 0, 0), 0.1), offset=(0, 0, 0.1)).offset
+    (0.0, 0.0, 0.1)
     """
 
     solid: SolidDomain | Box
@@ -205,8 +245,12 @@ class Moved(SolidDomain):
     angle: float = 0.0
     axis: Triple = (0.0, 0.0, 1.0)
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
         checks.instance("solid", self.solid, (SolidDomain, Box), _SOLID)
+        if self.solid.dim != 3:
+            raise ValueError(f"solid must be {_SOLID}, got a plane {type(self.solid).__name__}")
         checks.convert(self, corner, "offset", dim=3)
         checks.convert(self, checks.quantity, "angle")
         checks.convert(self, _direction, "axis")
@@ -229,22 +273,56 @@ class Moved(SolidDomain):
 
 @dataclass(frozen=True)
 class Combination(SolidDomain):
-    """Two solids combined: the base class of :class:`Cut`, :class:`Fuse` and :class:`Common`."""
+    """Two solids, or two plane domains, combined: the base class of :class:`Cut`, :class:`Fuse` and :class:`Common`.
 
-    a: SolidDomain | Box
-    b: SolidDomain | Box  # the result must be one piece
-    #: new names of faces: "side" of both solids, "b.side" of b alone
+    Boundaries keep their names; where both parts have one of the same name, it becomes one boundary unless ``rename``
+    tells them apart.
+
+    Parameters
+    ----------
+    a, b : Box, Cylinder, ..., or Rectangle, Polygon, Outline, Circle; or a combination of these
+        Both in space or both plane. The result must be one piece; a plane one may have holes.
+    rename : mapping of str to str
+        New names: "side" of both parts, "b.side" of b alone.
+    """
+
+    a: Domain
+    b: Domain
     rename: Mapping[str, str] = field(default_factory=dict, hash=False)
 
+    __repr__ = brief
+
     def __post_init__(self) -> None:
-        checks.instance("a", self.a, (SolidDomain, Box), _SOLID)
-        checks.instance("b", self.b, (SolidDomain, Box), _SOLID)
+        for name, part in (("a", self.a), ("b", self.b)):
+            checks.instance(name, part, (SolidDomain, Box, *_PLANE),
+                            f"{_SOLID}, or a plane domain (Rectangle, Polygon, Outline, Circle, Cut, ...)")
+        if self.a.dim != self.b.dim:
+            raise ValueError(f"a is {self.a.dim}D, b {self.b.dim}D: combine two solids or two plane domains")
         checks.convert(self, checks.mapping, "rename", words="names to names")
         known = [key for part, solid in (("a", self.a), ("b", self.b)) for name in solid.boundaries
                  for key in (name, f"{part}.{name}")]
         for old, new in self.rename.items():
             checks.choice("the keys of rename", old, dict.fromkeys(known))
             checks.boundary_name(f"rename[{old!r}]", new)
+        if self.dim == 2:
+            _ = self.outline
+
+    @property
+    def dim(self) -> int:
+        """Space dimension of both."""
+        return self.a.dim
+
+    @cached_property
+    def outline(self) -> Outline:
+        """Of plane domains: the edges of the result, holes included."""
+        if self.dim != 2:
+            raise ValueError(f"outline: only plane domains have one, a and b of this {type(self).__name__} are solids")
+        parts = []
+        for part, domain in (("a", self.a), ("b", self.b)):
+            own = domain.outline if isinstance(domain, Circle | Combination) else outline_of(domain)
+            own = own if isinstance(own, Outline) else Outline(vertices=own.vertices, boundaries=own.boundaries)
+            parts.append(replace(own, boundaries=tuple(self.renamed(part, name) for name in own.boundaries)))
+        return combined(type(self).__name__, *parts)
 
     def renamed(self, part: str, name: str) -> str:
         """The name in the result of the boundary ``name`` of ``part``, "a" or "b"."""
@@ -252,27 +330,53 @@ class Combination(SolidDomain):
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Distinct names: those of a, then those of b; of some of them no face may be left."""
+        """Distinct names: those of a, then those of b; of some of them no face of a solid may be left."""
+        if self.dim == 2:
+            return tuple(dict.fromkeys(self.outline.boundaries))
         both = ((part, name) for part in "ab" for name in getattr(self, part).boundaries)
         return tuple(dict.fromkeys(self.renamed(*one) for one in both))
 
 
 class Cut(Combination):
-    """``a`` without what it shares with ``b``. Parameters as of :class:`Combination`."""
+    """``a`` without what it shares with ``b``. Parameters as of :class:`Combination`.
+
+    Examples
+    --------
+    >>> plate = am.Cut(am.Rectangle(width=0.2, height=0.1), am.Circle((0.1, 0.05), 0.02, "hole"))
+    >>> am.Cut(plate, am.Rectangle(width=0.02, height=0.03), rename={"b.right": "notch", "b.top": "notch"}).boundaries
+    ('bottom', 'right', 'top', 'left', 'notch', 'hole')
+    >>> drilled = am.Cut(am.Box(width=1, depth=1, height=1), am.Cylinder((0.5, 0.5, 0), (0, 0, 1), 0.2, 1.0))
+    >>> drilled.a.width
+    1.0
+    """
 
     def _extremes(self) -> np.ndarray:
         return np.stack([self.a.lower, self.a.upper])
 
 
 class Fuse(Combination):
-    """``a`` and ``b`` as one solid. Parameters as of :class:`Combination`."""
+    """``a`` and ``b`` as one body. Parameters as of :class:`Combination`.
+
+    Examples
+    --------
+    >>> both = am.Fuse(am.Box(width=1, depth=1, height=1), am.Ball((0.5, 0.5, 1.0), 0.3))
+    >>> both.b.radius
+    0.3
+    """
 
     def _extremes(self) -> np.ndarray:
         return np.stack([self.a.lower, self.b.lower, self.a.upper, self.b.upper])
 
 
 class Common(Combination):
-    """The intersection of ``a`` and ``b``. Parameters as of :class:`Combination`."""
+    """The intersection of ``a`` and ``b``. Parameters as of :class:`Combination`.
+
+    Examples
+    --------
+    >>> lens = am.Common(am.Ball((0, 0, 0), 1.0), am.Ball((0, 0, 1.5), 1.0))
+    >>> lens.b.centre[2]
+    1.5
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -301,6 +405,8 @@ class Assembly(Domain):
     """
 
     parts: Mapping[str, Domain]
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.mapping, "parts", words="body names to domains")
@@ -359,6 +465,12 @@ class StepFile(Domain):
     names : mapping of str to str
         New names: "solid1": "upper" of a solid, "solid1.face3": "contact" of one of its faces. Keys are names as in
         the file, or solids and faces by their numbers, counted from 1.
+
+    Examples
+    --------
+    >>> part = am.StepFile("bracket.step", names={"face3": "foot"})
+    >>> part.unit                                                      # of the file's lengths, m
+    0.001
     """
 
     path: str | Path

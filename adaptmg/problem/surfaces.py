@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 
 __all__ = ["ContactPair", "GapFunction", "Plane"]
 
@@ -29,10 +32,20 @@ class Plane:
         A point of the plane, m.
     normal : sequence of float
         Its normal, pointing towards the body; any length > 0.
+
+    Examples
+    --------
+    >>> floor = am.Plane(point=(0, 0, 0), normal=(0, 0, 2))
+    >>> floor.normal.tolist()                                         # of unit length
+    [0.0, 0.0, 1.0]
     """
 
     point: np.ndarray
     normal: np.ndarray
+
+    __repr__ = brief
+    if TYPE_CHECKING:
+        def __init__(self, point: ArrayLike, normal: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         point = check_arrays.vector("point", self.point)
@@ -78,6 +91,12 @@ class GapFunction:
     ----------
     function : callable
         Points (n, dim) in m -> gaps (n,) in m, measured along the outward normal of the body.
+
+    Examples
+    --------
+    >>> parabola = am.GapFunction(lambda x: 0.5 * x[:, 0]**2 / 0.1)      # m, at points (n, dim)
+    >>> parabola.function(np.array([[0.01, 0.0]])).round(6).tolist()
+    [0.0005]
     """
 
     function: Callable[[np.ndarray], np.ndarray]
@@ -110,6 +129,11 @@ class ContactPair:
     gap : float or callable, optional
         Initial gap along the slave's normal, m, in place of the computed one: a number, or a function of position
         (n, dim) -> (n,).
+
+    Examples
+    --------
+    >>> am.ContactPair("upper.bottom", "lower.top").master
+    'lower.top'
     """
 
     slave: str

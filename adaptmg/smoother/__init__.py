@@ -15,3 +15,7 @@ from adaptmg.smoother.system import (
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactState", "LocalProblem", "LocalSystem", "NodalContact",
            "ProjectedGaussSeidel", "Smoother", "local_system", "natural_residual", "normal_force", "residual"]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,6 +1,4 @@
-"""Compilation of kernels: a message to the user before it takes seconds, and hints to memory and compiler.
-
-Compiled kernels are kept on disk next to the source (``__pycache__``): it happens once per machine and version.
+"""Hints of kernels to memory and compiler.
 
 :func:`prefetch`: the rows of a sweep are short and depend on one another, so that the processor does not hide the
 latency of memory. Prefetching the matrix 4 kB (a page) ahead, in the direction in which it is read, makes a sweep over
@@ -10,45 +8,12 @@ other nodes (6 % of a sweep in 2D).
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 from llvmlite import ir
 from numba import config, types
 from numba.extending import intrinsic
 
-__all__ = ["AHEAD", "likely", "notice", "prefetch"]
-
-logger = logging.getLogger(__name__)
-_checked: set[int] = set()
-_announced = False
-
-
-def notice(*kernels: Callable[..., object]) -> None:
-    """Log an INFO message, once a process, if the next call of one of ``kernels`` has to be compiled."""
-    global _announced
-    for kernel in kernels:
-        if _announced or id(kernel) in _checked:
-            continue
-        _checked.add(id(kernel))
-        if _needs_compiling(kernel):
-            _announced = True
-            logger.info("compiling kernels (once per machine; cached)")
-
-
-def _needs_compiling(kernel: Callable[..., object]) -> bool:
-    """Whether a kernel has neither been compiled in this process nor left an index file in its cache directory."""
-    if not hasattr(kernel, "py_func") or kernel.signatures:
-        return False
-    directory = kernel.stats.cache_path
-    if directory is None:
-        return True
-    function = kernel.py_func
-    name = f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}"
-    return not any(Path(directory).glob(f"{name}-*.nbi"))
-
+__all__ = ["AHEAD", "likely", "prefetch"]
 
 #: distance of the prefetch in doubles
 AHEAD = np.int64(512)

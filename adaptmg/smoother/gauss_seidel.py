@@ -19,7 +19,6 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.smoother import kernels
 from adaptmg.smoother.blocks import ZERO
-from adaptmg.smoother.compiling import notice
 from adaptmg.smoother.residuals import check_contact, check_vector, contact_share, normal_force
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
@@ -49,6 +48,12 @@ class ProjectedGaussSeidel:
     friction_update : "sweep" or int
         When mu * p is updated: "sweep": within each node solve; k >= 1: before the first sweep of a call and every k
         sweeps after it.
+
+    Examples
+    --------
+    >>> smoother = am.ProjectedGaussSeidel(omega=1.2, order="symmetric")
+    >>> am.Multigrid(correction=am.Monotone(), smoother=smoother).smoother.omega
+    1.2
     """
 
     omega: float = 1.0
@@ -97,7 +102,6 @@ class ProjectedGaussSeidel:
                 current = contact.frozen(normal_force(system, load, unknowns))
                 passes += contact_share(system)
             for step in _DIRECTIONS[self.order]:
-                notice(kernels.sweep)
                 kernels.sweep(ZERO[system.dim], 0 if step > 0 else system.n_nodes - 1, step, system.indptr,
                               system.indices, system.data, system.diagonal, system.inverse, system.contact_of,
                               current.gap, current.slip_reference.reshape(-1), current.limit, current.friction, load,

@@ -18,7 +18,6 @@ import numpy as np
 
 from adaptmg.smoother import kernels
 from adaptmg.smoother.blocks import ZERO
-from adaptmg.smoother.compiling import notice
 from adaptmg.smoother.system import LocalSystem, NodalContact, contact_codes, contact_states
 
 __all__ = ["check_contact", "check_vector", "contact_share", "natural_at_nodes", "natural_residual", "normal_force",
@@ -29,7 +28,6 @@ def residual(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.
     """Return the residual b - A w (n_dofs,), N, contact forces included, from b and w (n_dofs,), local components."""
     check_vector("load", load, system)
     check_vector("unknowns", unknowns, system)
-    notice(kernels.residual)
     result = np.empty(system.n_dofs)
     kernels.residual(ZERO[system.dim], system.indptr, system.indices, system.data, load, unknowns, result)
     return result
@@ -48,7 +46,6 @@ def natural_residual(system: LocalSystem, contact: NodalContact, load: np.ndarra
         check_vector("unknowns", unknowns, system)
         check_vector("linear", linear, system)
         result = linear.copy()
-    notice(kernels.natural_residual)
     kernels.natural_residual(ZERO[system.dim], system.nodes, system.diagonal, contact.gap,
                              contact.slip_reference.reshape(-1), contact.limit, contact.friction, unknowns, result)
     return result
@@ -57,7 +54,6 @@ def natural_residual(system: LocalSystem, contact: NodalContact, load: np.ndarra
 def natural_at_nodes(contact: NodalContact, blocks: np.ndarray, values: np.ndarray, linear: np.ndarray) -> np.ndarray:
     """The natural residual at contact nodes (n_contact, dim), from their diagonal blocks, unknowns and b - A w."""
     result, dim = np.array(linear).reshape(-1), values.shape[1]
-    notice(kernels.natural_residual)
     nodes = np.arange(len(values), dtype=np.int32)
     kernels.natural_residual(ZERO[dim], nodes, np.ascontiguousarray(blocks).reshape(-1), contact.gap,
                              contact.slip_reference.reshape(-1), contact.limit, contact.friction,
@@ -69,7 +65,6 @@ def normal_force(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) ->
     """Return the compressive nodal force p = max(0, (b - A w)_n) (n_contact,), N; only their rows are read."""
     check_vector("load", load, system)
     check_vector("unknowns", unknowns, system)
-    notice(kernels.normal_residual)
     result = np.empty(len(system.nodes))
     kernels.normal_residual(ZERO[system.dim], system.nodes, system.indptr, system.indices, system.data, load,
                             unknowns, result)

@@ -138,12 +138,13 @@ class LocalProblem:
         return self.discrete.with_prescribed(u).reshape(-1, self.system.dim)
 
 
-def local_system(problem: DiscreteProblem) -> LocalProblem:
-    """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs."""
+def local_system(problem: DiscreteProblem, matrix: sparse.bsr_array | None = None) -> LocalProblem:
+    """Rotate a DiscreteProblem, or it with another ``matrix``, into contact frames and eliminate its fixed dofs."""
     dim, contact = problem.dim, problem.contact
     frames = frames_of(contact, problem.fixed.reshape(-1, dim))
     fixed = _local_fixed(problem, frames)
-    matrix = without_fixed(_rotated(problem.matrix, frames, contact.nodes), fixed, copy=False)
+    matrix = _rotated(problem.matrix if matrix is None else matrix, frames, contact.nodes)
+    matrix = without_fixed(matrix, fixed, copy=False)
     load = rotate(problem.load_from_prescribed(), frames, contact.nodes)
     load[fixed] = 0.0
     system = LocalSystem.from_matrix(matrix, fixed, contact.nodes)

@@ -44,7 +44,8 @@ from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.transfer.galerkin import without_fixed
 
-__all__ = ["ActiveSet", "CondensedSteps", "SparseSteps", "glued_system", "linearise", "local_near_nullspace"]
+__all__ = ["ActiveSet", "CondensedSteps", "SparseSteps", "coarsest_solution", "glued_system", "linearise",
+           "local_near_nullspace"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -76,6 +77,12 @@ class ActiveSet:
     springs tie the contact nodes to the last trusted iterate (a proximal point method): each problem with springs is
     solved until its residual is a tenth of that of its centre, which then moves to its solution. The springs become
     weaker with every problem that is solved and stiffer with every other one; at the end none are left.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.ActiveSet(linear=am.Direct())).status.name
+    'CONVERGED'
     """
 
     linear: LinearSolver = field(default_factory=Direct)
@@ -150,9 +157,9 @@ class _Newton:
     FACTOR, SMALLEST_FACTOR = 0.1, 1e-4
 
     def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int,
-                 start: np.ndarray | None) -> None:
+                 start: np.ndarray | None, lenient: bool = False) -> None:
         self.options, self.local, self.run, self.level = options, local, run, level
-        self.equations_of: LinearSteps = (CondensedSteps(local, run) if options.condensed
+        self.equations_of: LinearSteps = (CondensedSteps(local, run, lenient) if options.condensed
                                           else SparseSteps(local, options.linear, run))
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
         self.cycles, self.held, self._hold_first = 0, False, start is None
@@ -262,6 +269,14 @@ class _Newton:
         residual = self._residual()
         self._tie(residual, self._stiffness)
         self._decide(residual)
+
+
+def coarsest_solution(local: LocalProblem, rtol: float, unit: int) -> tuple[np.ndarray, int]:
+    """Unknowns (n_dofs,) of a coarsest problem, whose matrix may be singular, and the number of steps they took."""
+    options = ActiveSet(rtol=rtol)
+    newton = _Newton(options, local, Run(unit=unit), 0, None, lenient=True)
+    iterate(newton, _NewtonTest(local, rtol, options.max_steps), None)
+    return newton.unknowns, newton.cycles
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,10 +400,10 @@ class CondensedSteps:
 
     SINGULAR = 1e-13  # reciprocal condition number below which the equations count as singular
 
-    def __init__(self, local: LocalProblem, run: Run) -> None:
+    def __init__(self, local: LocalProblem, run: Run, lenient: bool = False) -> None:
         self.local, self.run = local, run
         with run.phase("factorise"):
-            self.condensed = condense(local)
+            self.condensed = condense(local, lenient)
 
     @property
     def stiffness(self) -> np.ndarray:

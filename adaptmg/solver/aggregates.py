@@ -7,6 +7,8 @@ node projected onto what a contact status lets move, the coarse matrix is :math:
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
@@ -273,21 +275,9 @@ class CoarseMatrix:
         _galerkin(self._zero, matrix.indptr, matrix.indices, matrix.data.reshape(-1), diagonal.reshape(-1),
                   *self._given, aggregates.order, aggregates.starts, aggregates.indptr, aggregates.indices, half)
         self._sums = np.zeros(count * modes)
-        size = len(self._sums)
-        blocks = sparse.bsr_array((half, aggregates.indices, aggregates.indptr), shape=(size, size))
-        coarse = sparse.csc_array(blocks)
-        coarse = sparse.csc_array(coarse + coarse.T)
-        diagonal = coarse.diagonal()
-        # motions that the status takes away altogether
-        most = diagonal.max(initial=0.0)
-        coarse = coarse + sparse.diags_array(np.where(diagonal > 1e-14 * most, _SHIFT * diagonal, most), format="csc")
         try:
-            if size <= _DENSE:
-                factor = cho_factor(coarse.toarray(), lower=True, overwrite_a=True, check_finite=False)
-                self._solve = lambda sums: cho_solve(factor, sums, check_finite=False)
-            else:
-                self._solve = splu(coarse, permc_spec=_ORDER[dim], diag_pivot_thresh=0.0,
-                                   options={"SymmetricMode": True}).solve
+            self._solve = (_dense_solve(half, aggregates) if len(self._sums) <= _DENSE
+                           else _sparse_solve(half, aggregates, _ORDER[dim]))
         except (np.linalg.LinAlgError, RuntimeError):
             self._solve = None  # a motion that nothing holds: the sweeps alone are a preconditioner too
 
@@ -295,3 +285,29 @@ class CoarseMatrix:
         if self._solve is not None and len(self._sums):
             _restrict(self._zero, residual, *self._given, self._sums)
             _prolong(self._zero, self._solve(self._sums), *self._given, result)
+
+
+def _raised(diagonal: np.ndarray) -> np.ndarray:
+    """What is added to the diagonal of the coarse matrix."""
+    # motions that the status takes away altogether
+    most = diagonal.max(initial=0.0)
+    return np.where(diagonal > 1e-14 * most, _SHIFT * diagonal, most)
+
+
+def _dense_solve(half: np.ndarray, aggregates: Aggregates) -> Callable[[np.ndarray], np.ndarray]:
+    count, modes = len(aggregates.indptr) - 1, half.shape[1]
+    coarse = np.zeros((count, modes, count, modes))
+    coarse[np.repeat(np.arange(count), np.diff(aggregates.indptr)), :, aggregates.indices] = half
+    coarse = coarse.reshape(count * modes, -1)
+    coarse += coarse.T
+    coarse[np.diag_indices_from(coarse)] += _raised(coarse.diagonal())
+    factor = cho_factor(coarse, lower=True, overwrite_a=True, check_finite=False)
+    return lambda sums: cho_solve(factor, sums, check_finite=False)
+
+
+def _sparse_solve(half: np.ndarray, aggregates: Aggregates, order: str) -> Callable[[np.ndarray], np.ndarray]:
+    size = (len(aggregates.indptr) - 1) * half.shape[1]
+    coarse = sparse.csc_array(sparse.bsr_array((half, aggregates.indices, aggregates.indptr), shape=(size, size)))
+    coarse = sparse.csc_array(coarse + coarse.T)
+    coarse = coarse + sparse.diags_array(_raised(coarse.diagonal()), format="csc")
+    return splu(coarse, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve

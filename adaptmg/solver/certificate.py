@@ -20,6 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from adaptmg._runtime import one_blas_thread
+from adaptmg._text import shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.solver.aggregates import Aggregates
@@ -49,6 +50,12 @@ class Certificate:
         Whether a factorisation was made.
     force, displacement, energy_norm : float
         The scales of the lines: N, m, and sqrt(u'Au) (sqrt(N m)); in 2D per metre of thickness.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.certificate().energy_error < 1e-7
+    True
     """
 
     lines: tuple[Condition, ...]
@@ -92,6 +99,9 @@ class Certificate:
         return cls(**(values | {"lines": tuple(Condition(**line) for line in values["lines"])}))
 
     def __repr__(self) -> str:
+        return shortened(str(self))
+
+    def __str__(self) -> str:
         rows = [f"Certificate: forces relative to {self.force:.3g} N, lengths to {self.displacement:.3g} m, energy to "
                 f"{self.energy_norm**2:.3g} N m", f"{'':<22} {'largest':>9} {'in all':>9} {'':<4} {'relative':>9}"]
         rows += [f"{line.name:<22} {line.largest:>9.2e} {line.total:>9.2e} {line.unit:<4} {line.relative:>9.2e}"

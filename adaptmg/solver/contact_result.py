@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from adaptmg._text import shortened
 from adaptmg.discrete.coordinates import from_frames
+from adaptmg.smoother.system import OPEN, SLIP, STICK
+
+if TYPE_CHECKING:
+    import pandas
 
 __all__ = ["ContactResult"]
+
+_STATES = {"open": OPEN, "slip": SLIP, "stick": STICK}
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +62,8 @@ class ContactResult:
         Contact forces on them, -W' times those on the contact nodes (Cartesian), N (2D: N/m).
     master_boundary : (m,) int array, optional
         Their pair: index into ``names``.
+    axisymmetric : bool
+        Whether x is the radius, and forces and masses are those of the full circumference (N, m^2).
     """
 
     node: np.ndarray
@@ -74,6 +84,7 @@ class ContactResult:
     master_node: np.ndarray | None = None
     master_force: np.ndarray | None = None
     master_boundary: np.ndarray | None = None
+    axisymmetric: bool = False
 
     def __post_init__(self) -> None:
         if self.master_node is None:
@@ -85,10 +96,49 @@ class ContactResult:
     @property
     def pair(self) -> np.ndarray:
         """Name of the contact boundary or pair ("slave on master") of each node (n,), str."""
+        return np.array(self.pair_names)[self.boundary]
+
+    @property
+    def pair_names(self) -> list[str]:
+        """For each of ``names`` the contact boundary, or "slave on master"."""
         masters = self.masters or ("",) * len(self.names)
-        labels = [f"{slave} on {master}" if master else slave
-                  for slave, master in zip(self.names, masters, strict=True)]
-        return np.array(labels)[self.boundary]
+        return [f"{slave} on {master}" if master else slave
+                for slave, master in zip(self.names, masters, strict=True)]
+
+    @property
+    def closed(self) -> np.ndarray:
+        """Which nodes (n,) are in contact: not open."""
+        return self.state != OPEN
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of forces and of boundary masses: N and m^2, in plane problems N/m and m."""
+        plane = self.frames.shape[1] == 2 and not self.axisymmetric
+        return ("N/m", "m") if plane else ("N", "m^2")
+
+    def counts(self, own: np.ndarray | None = None) -> dict[str, int]:
+        """Number of nodes by state, 'open', 'slip' and 'stick'; of all nodes or of those in the mask ``own``."""
+        states = np.asarray(self.state if own is None else self.state[own])
+        return {name: int((states == code).sum()) for name, code in _STATES.items()}
+
+    def table(self) -> pandas.DataFrame:
+        """Return one row a contact node, with units in the heads; in 3D with "slip_1 [m]", "slip_2 [m]", and so on."""
+        import pandas
+
+        columns: dict[str, object] = {"node": self.node, "pair": self.pair,
+                                      "state": np.array(list(_STATES))[np.asarray(self.state, dtype=int)]}
+        columns |= {f"{axis} [m]": values for axis, values in zip("xyz", self.x.T, strict=False)}
+        for name, unit in (("gap", "m"), ("u_n", "m"), ("u_t", "m"), ("slip", "m"), ("force_n", self.units[0]),
+                           ("force_t", self.units[0]), ("pressure", "Pa"), ("traction", "Pa")):
+            parts = np.atleast_2d(getattr(self, name).T)
+            columns |= {f"{name}_{k} [{unit}]" if len(parts) > 1 else f"{name} [{unit}]": part
+                        for k, part in enumerate(parts, 1)}
+        return pandas.DataFrame(columns)
+
+    def __repr__(self) -> str:
+        states = ", ".join(f"{count} {state}" for state, count in self.counts().items())
+        return shortened(f"ContactResult: {len(self)} nodes of {', '.join(self.pair_names)}: {states}; pressure up to "
+                         f"{self.pressure.max(initial=0.0):.3g} Pa; table() lists them")
 
     @property
     def pressure(self) -> np.ndarray:

@@ -21,7 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import SuperLU, splu
 
@@ -52,6 +52,19 @@ class OrderedFactors:
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         result = np.empty_like(rhs)
         result[self.order] = self.lu.solve(rhs[self.order])
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class DenseFactors:
+    """Factors by Cholesky's method of the rows and columns ``order`` of a matrix; other dofs stay at zero."""
+
+    lower: np.ndarray
+    order: np.ndarray
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        result = np.zeros_like(rhs)
+        result[self.order] = linalg.lapack.dpotrs(self.lower, rhs[self.order], lower=1)[0]
         return result
 
 
@@ -142,6 +155,14 @@ def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.n
 
 #: a pivot below this times the diagonal entry of the matrix means a singular interior
 _PIVOT = 1e-11
+#: dofs up to which dense factors are quicker, and up to which they decide which dofs depend on others
+_DENSE, _DENSE_AT_MOST = 300, 6000
+
+
+class _Singular(ValueError):
+    def __init__(self) -> None:
+        super().__init__("the problem is singular even with all contact dofs fixed: add a support, or check that every "
+                         "node belongs to an element")
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +171,7 @@ class Condensed:
 
     problem: LocalProblem
     full: LocalProblem  # what was condensed
-    factors: OrderedFactors  # of M
+    factors: OrderedFactors | DenseFactors  # of M
     contact: np.ndarray  # (n,) int: contact dofs, n = n_contact * dim
     matrix: np.ndarray  # (n, n): S
     shift: np.ndarray  # (n,): diagonal of Sigma at the contact dofs
@@ -185,14 +206,25 @@ class Condensed:
         return self.matrix @ unknowns + self.shift * unknowns
 
 
-def condense(local: LocalProblem) -> Condensed:
-    """Condense a problem onto its contact nodes."""
+def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
+    """Condense a problem onto its contact nodes.
+
+    ``lenient``: where the problem is singular with all contact dofs fixed, dofs that depend on others stay at zero.
+    """
     system = local.system
     dim = system.dim
     contact = dofs_of(system.nodes, dim)
-    shift = system.matrix.diagonal()[contact]
-    nodes = nested_dissection(node_graph(system.matrix), local.discrete.coordinates, last=system.nodes)
-    factors, schur = _eliminate(_shifted(system, contact, shift), dofs_of(nodes, dim), contact)
+    shift = np.abs(system.diagonal.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2)[system.nodes]).reshape(-1)
+    try:
+        if system.n_dofs <= _DENSE:
+            factors, schur = _eliminate_dense(system, contact, shift, lenient)
+        else:
+            nodes = nested_dissection(node_graph(system.matrix), local.discrete.coordinates, last=system.nodes)
+            factors, schur = _eliminate(_shifted(system, contact, shift), dofs_of(nodes, dim), contact)
+    except _Singular:
+        if not lenient or system.n_dofs > _DENSE_AT_MOST:
+            raise
+        factors, schur = _eliminate_dense(system, contact, shift, lenient)
     schur[np.diag_indices_from(schur)] -= shift
     schur = 0.5 * (schur + schur.T)
     fixed = system.fixed[contact]
@@ -225,20 +257,42 @@ def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> spa
 
 def _eliminate(matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray) -> tuple[OrderedFactors, np.ndarray]:
     """Factors, and L_cc U_cc in the order of ``contact``."""
-    message = ("the problem is singular even with all contact dofs fixed: add a support, or check that every node "
-               "belongs to an element")
     try:
         factors = OrderedFactors.of(matrix, order)
     except RuntimeError as error:
-        raise ValueError(message) from error
+        raise _Singular from error
     # SuperLU postorders the elimination tree: row and column k of the permuted matrix became place[k]
     lu = factors.lu
     place, rows, upper = lu.perm_c, lu.perm_r, lu.U
     pivots = upper.diagonal()[place]
     if not (np.array_equal(place, rows) and (pivots > _PIVOT * factors.diagonal).all()):
-        raise ValueError(message)
+        raise _Singular
     inverse = np.empty_like(order)
     inverse[order] = np.arange(len(order))
     at = place[inverse[contact]]
     lower = lu.L.tocsr()[at][:, at].toarray()
     return factors, lower @ upper.tocsc()[:, at].tocsr()[at].toarray()
+
+
+def _eliminate_dense(system: LocalSystem, contact: np.ndarray, shift: np.ndarray, lenient: bool
+                     ) -> tuple[DenseFactors, np.ndarray]:
+    """The same by dense factors with pivots, which find the rank of the interior."""
+    n, dim = system.n_nodes, system.dim
+    matrix = np.zeros((n, dim, n, dim))
+    matrix[np.repeat(np.arange(n), np.diff(system.indptr)), :, system.indices] = system.data.reshape(-1, dim, dim)
+    matrix = matrix.reshape(n * dim, n * dim)
+    inside = np.flatnonzero(np.repeat(system.contact_of < 0, dim))
+    size = np.sqrt(matrix.diagonal()[inside])
+    lower, pivots, rank = np.empty((0, 0)), np.empty(0, dtype=np.int64), 0
+    if len(inside):
+        scaled = matrix[np.ix_(inside, inside)] / (size[:, None] * size)
+        lower, pivots, rank, _ = linalg.lapack.dpstrf(scaled, tol=_PIVOT, lower=1)
+    if rank < len(inside) and not lenient:
+        raise _Singular
+    used = pivots[:rank] - 1
+    lower = np.tril(lower[:rank, :rank]) * size[used, None]
+    order = np.append(inside[used], contact)
+    coupling = linalg.solve_triangular(lower, matrix[np.ix_(inside[used], contact)], lower=True, check_finite=False)
+    schur = matrix[np.ix_(contact, contact)] + np.diag(shift) - coupling.T @ coupling
+    whole = np.block([[lower, np.zeros((rank, len(contact)))], [coupling.T, np.linalg.cholesky(schur)]])
+    return DenseFactors(np.asfortranarray(whole), order), schur

@@ -13,17 +13,18 @@ where the dense pseudo-inverse is one product with :math:`n^2` entries. Set-up a
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import pyamg
-import pyamg.krylov
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import seeded
 from adaptmg.solver.factorisation import OrderedFactors, dofs_of, nested_dissection, node_graph
+
+if TYPE_CHECKING:
+    import pyamg
 
 __all__ = ["AMG", "Direct", "LinearSolution", "LinearSolver", "Prepared"]
 
@@ -69,7 +70,14 @@ class LinearSolver(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Direct:
-    """Sparse factorisation by SuperLU with a nested-dissection order, and one step of iterative refinement a solve."""
+    """Sparse factorisation by SuperLU with a nested-dissection order, and one step of iterative refinement a solve.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.ActiveSet(linear=am.Direct())).cycles < 20
+    True
+    """
 
     #: |K^-1 D| beyond this, D the diagonal of K, means singular
     SINGULAR = 1e13
@@ -136,6 +144,12 @@ class AMG:
     -----
     P. Vanek, J. Mandel, M. Brezina, Computing 56, 1996, doi:10.1007/BF02238511; N. Bell, L. Olson, J. Schroder,
     B. Southworth, PyAMG, JOSS 8 (87), 2023, doi:10.21105/joss.05495.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.ActiveSet(linear=am.AMG())).status.name
+    'CONVERGED'
     """
 
     max_iterations: int = 500
@@ -151,6 +165,8 @@ class AMG:
     def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
               preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Preconditioned:
         """Build a hierarchy of coarse matrices; see :class:`LinearSolver`."""
+        import pyamg
+
         eliminated = None if near_nullspace is None else ~near_nullspace.any(axis=1)
         if (isinstance(previous, Preconditioned) and eliminated is not None and previous.eliminated is not None
                 and np.count_nonzero(previous.eliminated != eliminated) <= self.LAG):
@@ -186,6 +202,8 @@ class Preconditioned:
 
     def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
         """Iterate until the error in the norm of the preconditioner is small, too; see :class:`Prepared`."""
+        from pyamg import krylov
+
         shape, cycle = self.matrix.shape, self.hierarchy.aspreconditioner(cycle="V")
         self._products = self._cycles = 0
 
@@ -205,11 +223,11 @@ class Preconditioned:
             norms: list[float] = []
             left = self.options.max_iterations - iterations
             if self.symmetric:
-                unknowns, _ = pyamg.krylov.cg(operator, rhs, x0=unknowns, tol=tol, maxiter=left, M=inverse,
+                unknowns, _ = krylov.cg(operator, rhs, x0=unknowns, tol=tol, maxiter=left, M=inverse,
                                               residuals=norms)
             else:
                 restart = min(self.options.RESTART, left, shape[0])
-                unknowns, _ = pyamg.krylov.fgmres(operator, rhs, x0=unknowns, tol=tol, M=inverse, restart=restart,
+                unknowns, _ = krylov.fgmres(operator, rhs, x0=unknowns, tol=tol, M=inverse, restart=restart,
                                                   maxiter=-(-left // restart), residuals=norms)
             iterations += max(len(norms) - 1, 0)
             residual = rhs - product(unknowns)

@@ -17,25 +17,27 @@ from functools import partial
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder
-from adaptmg._runtime import one_blas_thread
+from adaptmg._runtime import one_blas_thread, say
+from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.load_steps import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.smoother.system import OPEN, SLIP, STICK
+from adaptmg.solver.advice import advise_on_path, advise_on_problem, once
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result
 from adaptmg.solver.result_file import damage
-from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, result_of, solver_argument
+from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, method_argument, result_of
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
 from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
 
@@ -59,6 +61,13 @@ class PathResult(Sequence[Result]):
         What the path was solved for, see :mod:`adaptmg.solver.step_store`; empty without a store.
     n_steps : int
         Steps of the whole path.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}))
+    >>> len(steps), steps.complete
+    (2, True)
     """
 
     results: tuple[Result, ...]
@@ -84,37 +93,53 @@ class PathResult(Sequence[Result]):
         return self.results[index]
 
     def __repr__(self) -> str:
+        return shortened(str(self))
+
+    def _repr_html_(self) -> str:
+        return in_html_lines(str(self).partition("\n")[0]) + html_table(self.table())
+
+    def __str__(self) -> str:
         about = f" of {self.results[0].solver_name} for {self.results[0].problem_name}" if self.results else ""
         lines = [f"PathResult{about}: {len(self)} of {self.n_steps} steps",
                  f"{'step':>4} {'status':>9} {'cycles':>6} {'seconds':>8} {'open':>6} {'slip':>6} {'stick':>6}  "
                  "factors"]
         for k, result in enumerate(self.results):
-            n = _counts(result)
+            n = result.contact.counts()
             factors = ", ".join(f"{name} {values[k]:g}" for name, values in self.factors.items())
             lines.append(f"{k:>4} {result.status.name:>9} {result.cycles:>6} {result.seconds:>8.3g} {n['open']:>6} "
                          f"{n['slip']:>6} {n['stick']:>6}  {factors}")
         return "\n".join(lines)
 
     def table(self) -> pandas.DataFrame:
-        """Return one row a step.
+        """Return one row a step, with units in the heads.
 
         step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural, relative); open, slip
-        and stick (contact nodes); force_x, force_y, force_z: resultant of the contact forces, N (2D: N/m); pressure:
-        the largest contact pressure, Pa; slip_size: the largest slip of the step at a node in contact, m.
+        and stick (contact nodes); "force_x [N]", ... (plane problems: [N/m]): resultant of the contact forces;
+        "pressure [Pa]": the largest contact pressure; "slip_size [m]": the largest slip of the step at a node in
+        contact; "slip_path [m]": the largest of :meth:`slip_path`.
         """
         import pandas
 
-        rows = []
+        rows, paths = [], self.slip_path()
         for k, result in enumerate(self.results):
             force = result.resultant("contact").force
             c = result.contact
-            slips = np.linalg.norm(c.slip, axis=1)[c.state != OPEN]
+            slips = np.linalg.norm(c.slip, axis=1)[c.closed]
             rows.append({"step": k} | {f"factor {name}": values[k] for name, values in self.factors.items()}
                         | {"status": result.status.name, "cycles": result.cycles, "work_units": result.work_units,
-                           "seconds": result.seconds, "residual": result.residual} | _counts(result)
-                        | {f"force_{'xyz'[d]}": float(value) for d, value in enumerate(force)}
-                        | {"pressure": float(c.pressure.max()), "slip_size": float(slips.max(initial=0.0))})
+                           "seconds": result.seconds, "residual": result.residual} | c.counts()
+                        | {f"force_{'xyz'[d]} [{c.units[0]}]": float(value) for d, value in enumerate(force)}
+                        | {"pressure [Pa]": result.max_pressure, "slip_size [m]": float(slips.max(initial=0.0)),
+                           "slip_path [m]": float(paths[k].max(initial=0.0))})
         return pandas.DataFrame(rows)
+
+    def slip_path(self) -> np.ndarray:
+        """How far each contact node has slipped so far (n_steps, n_contact), m; back and forth add up.
+
+        The sum of ``|slip|`` over the steps after which it is in contact.
+        """
+        ways = [np.linalg.norm(one.contact.slip, axis=1) * one.contact.closed for one in self.results]
+        return np.cumsum(ways, axis=0) if ways else np.zeros((0, 0))
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Write a file a step, and the factors; ValueError if the folder holds another path already."""
@@ -165,12 +190,6 @@ def _results(store: StepStore, steps: int) -> tuple[Result, ...]:
     return tuple(replace(result, mesh=results[0].mesh) for result in results)
 
 
-def _counts(result: Result) -> dict[str, int]:
-    """Contact nodes by state."""
-    states = np.bincount(np.asarray(result.contact.state, dtype=int), minlength=3)
-    return {"open": int(states[OPEN]), "slip": int(states[SLIP]), "stick": int(states[STICK])}
-
-
 class StepNotConverged(NotConverged):
     """Raised by :func:`solve_path` when a step did not reach its tolerance."""
 
@@ -184,12 +203,13 @@ class StepNotConverged(NotConverged):
         return type(self), (self.result, self.step, self.described, self.partial)
 
 
+@once()
 @one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
-               start: np.ndarray | Result | None = None, store: str | os.PathLike[str] | None = None,
+               start: ArrayLike | Result | None = None, store: str | os.PathLike[str] | None = None,
                depends: Mapping[str, object] | None = None, throw: bool = True,
                callback: Callable[[int, Result], None] | None = None,
-               progress: Callable[[int, dict[str, float]], None] | None = None) -> PathResult:
+               progress: Callable[[int, dict[str, float]], None] | bool | None = None) -> PathResult:
     """Solve a contact problem along a load path on the finest level of a hierarchy.
 
     Parameters
@@ -215,8 +235,8 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         whose status says it; ``complete`` is then False.
     callback : callable, optional
         Called with the number and the Result of each step when it is finished, and kept.
-    progress : callable, optional
-        Called with the number of the step and each row of its history.
+    progress : callable or bool, optional
+        Called with the number of the step and each row of its history. True: write a line a step to standard error.
 
     Returns
     -------
@@ -227,13 +247,25 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     ValueError
         Bad input, or a rigid motion that neither supports nor contact hold in a step.
     StepNotConverged
+
+    Warns
+    -----
+    UserWarning, RuntimeWarning
+        As :func:`adaptmg.solve`, once for the whole path.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0, 0.0]}))
+    >>> len(steps)
+    3
     """
-    grids = grids_argument(grids)
     checks.instance("path", path, LoadPath, "a LoadPath")
-    solver = solver_argument(solver, grids)
+    grids, solver, choice = method_argument(solver, grids_argument(grids))
     checks.flag("throw", throw)
     checks.optional_callable("callback", callback, "the number and Result of a step")
-    checks.optional_callable("progress", progress, "the number of a step and a row of its history")
+    if not isinstance(progress, bool):
+        checks.optional_callable("progress", progress, "the number of a step and a row of its history (or a bool)")
     start = displacement_argument("start", start, grids.finest.discrete)
     loop = PathLoop(grids, path, solver, start)
     mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, start,
@@ -244,8 +276,11 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         loop.replay(k, result)
     if len(results) < len(path):
         warn_of_large_friction(loop.examiner)
+        advise_on_problem(grids.problem, grids.finest.mesh)
     for k in range(len(results), len(path)):
-        result = loop.step(k, progress)
+        result = replace(loop.step(k, progress if callable(progress) else None), choice=choice)
+        if progress is True:
+            say(loop.report(k, result))
         results.append(result)
         if not result.status.ok:
             partial_result = PathResult(tuple(results), loop.factors, mark, len(path))
@@ -256,6 +291,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
             kept.put(k, _stored(k, result))
         if callback is not None:
             callback(k, result)
+    advise_on_path(grids.problem, results)
     return PathResult(tuple(results), loop.factors, mark, len(path))
 
 
@@ -335,9 +371,13 @@ class PathLoop:
                 result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
         with run.phase("result"):
             self._remember(grids, result, forces, coarse)
-        _LOG.info("step %d of %d (%s): %s after %d cycles", k, len(self.path), self.described(k), result.status.name,
-                  result.cycles)
+        _LOG.info(self.report(k, result))
         return result
+
+    def report(self, k: int, result: Result) -> str:
+        """How a step ended, as text."""
+        return (f"step {k} of {len(self.path)} ({self.described(k)}): {result.status.name} after {result.cycles} "
+                f"cycles and {result.seconds:.2g} s")
 
     def replay(self, k: int, result: Result) -> None:
         grids = self._posed(k)

@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._text import brief
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.corrections import Correction
 from adaptmg.multigrid.cycle import CoarseSolve, Cycle, NestedStart
@@ -68,6 +69,13 @@ class Multigrid:
     max_cycles : int
         With Truncated also for what takes over where it does not converge (:class:`~adaptmg.solver.truncated.Fallback`;
         ``Result.fallback`` names it).
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> solver = am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="W", pre=2))
+    >>> am.solve(grids, solver).residual < 1e-7
+    True
     """
 
     cycle: Cycle = field(default_factory=Cycle)
@@ -78,6 +86,8 @@ class Multigrid:
     stop: str = "error"
     rtol: float | str = 1e-8
     max_cycles: int = 100
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         checks.instance("cycle", self.cycle, Cycle, "a Cycle")
@@ -155,9 +165,17 @@ class FullMultigrid(Multigrid):
         How the levels below are solved first.
 
     See :class:`Multigrid` for the others.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.FullMultigrid(rtol=1e-6)).error_estimate < 1e-6
+    True
     """
 
     start: NestedStart = field(default_factory=NestedStart)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.corrections import Correction, InitialContact, Monotone, correction_levels
@@ -48,9 +47,6 @@ class ProjectedMultigrid:
 class ProjectedRun:
     """One run of it."""
 
-    #: of the diagonal, added to a coarsest matrix that is singular
-    SHIFT = 1e-9
-
     def __init__(self, options: ProjectedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
         need_levels(hierarchy)
         hierarchy.need_discretised(f"the correction {type(options.correction).__name__}")
@@ -84,13 +80,8 @@ class ProjectedRun:
     def _condensed(self, coarsest: LocalSystem) -> Condensed:
         """The coarsest problem on its contact nodes."""
         local = replace(self.problems[0], system=coarsest, load=np.zeros(coarsest.n_dofs))
-        try:
-            return condense(local)
-        except ValueError:
-            # where the next mesh is locally the coarser one, some coarse functions vanish on it
-            matrix = sparse.csr_array(coarsest.matrix) + self.SHIFT * sparse.diags_array(coarsest.matrix.diagonal())
-            blocks = sparse.bsr_array(matrix, blocksize=(coarsest.dim,) * 2)
-            return condense(replace(local, system=LocalSystem.from_matrix(blocks, coarsest.fixed, coarsest.nodes)))
+        # where the next mesh is locally the coarser one, some coarse functions vanish on it
+        return condense(local, lenient=True)
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest (steps a and b of the paper)."""

@@ -19,7 +19,14 @@ __all__ = ["Outcome", "Run", "Solver", "Status"]
 
 
 class Status(Enum):
-    """How a solver ended; the value is advice."""
+    """How a solver ended; the value is advice.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.status is am.Status.CONVERGED
+    True
+    """
 
     CONVERGED = "converged to the tolerance asked for"
     LIMIT = ("the limit on cycles or sweeps was reached before the tolerance: raise it, take a better start "

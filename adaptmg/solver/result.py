@@ -6,20 +6,32 @@ import importlib.metadata
 import os
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import lru_cache
+from itertools import combinations
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.stress import StressData, von_mises
+from adaptmg.discrete.springs import moment
+from adaptmg.discrete.stress import StressData, as_tensors, von_mises
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.record import Status
 from adaptmg.solver.result_file import read_result, write_result
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
+
+    from adaptmg.geometry.location import Location
 
 __all__ = ["ContactResult", "NotConverged", "Result", "label", "problem_name", "versions"]
 
@@ -64,6 +76,8 @@ class Result:
         The names of the problem and of the solver with its options.
     fallback : str
         The method that took over where the solver did not converge, and from which cycle; empty if none did.
+    choice : str
+        Why the solver was taken, where :func:`adaptmg.solve` chose one for one mesh; else empty.
     mesh : MeshArrays or None
         Finest mesh (without its NGSolve source after loading).
     start_work_units : float
@@ -76,6 +90,19 @@ class Result:
         The certificate of the solve.
     supports : dict of str to str
         By boundary the components that supports hold, such as "xy"; empty for a bare DiscreteProblem.
+    springs : dict of str to list of float
+        By boundary, or "point (0, 1)", the force (dim) that springs exert on the bodies, N, and its moment about the
+        origin, N m.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.displacement.shape
+    (25, 2)
+    >>> result.probe([(0.01, 0.02)]).shape
+    (1, 2)
+    >>> len(result.contact.pressure)
+    5
     """
 
     displacement: np.ndarray
@@ -101,6 +128,11 @@ class Result:
     checked: Certificate | None = None
     supports: dict[str, str] = field(default_factory=dict)
     fallback: str = ""
+    choice: str = ""
+    springs: dict[str, list[float]] = field(default_factory=dict)
+
+    #: of the columns of stresses and strains
+    COMPONENTS: ClassVar[tuple[str, ...]] = ("xx", "yy", "zz", "xy", "yz", "xz")
 
     @property
     def method(self) -> str:
@@ -118,13 +150,19 @@ class Result:
         return float(sum(self.timings.values()))
 
     def __repr__(self) -> str:
-        states = np.bincount(np.asarray(self.contact.state, dtype=int), minlength=3)
+        return shortened(str(self))
+
+    def _repr_html_(self) -> str:
+        return in_html_lines(str(self)) + ("" if self.mesh is None else html_table(self.pairs()))
+
+    def __str__(self) -> str:
+        states = self.contact.counts()
         return (f"Result of {self.method} for {self.problem_name}: {self.status.name}\n"
                 f"  {len(self.displacement)} nodes, {len(self.contact)} contact nodes: "
-                f"{states[0]} open, {states[1]} slip, {states[2]} stick\n"
+                f"{', '.join(f'{count} {state}' for state, count in states.items())}\n"
                 f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
                 f"  natural residual {self.residual:.2e}, estimated error {self.error_estimate:.2e} "
-                f"(rtol {self.rtol:g})" + self._certified())
+                f"(rtol {self.rtol:g})" + self._certified() + f"\n  solver=None: {self.choice}" * bool(self.choice))
 
     def _certified(self) -> str:
         if self.checked is None:
@@ -156,7 +194,7 @@ class Result:
                              "(grids.finest.discrete)")
         return self.checked
 
-    def probe(self, points: np.ndarray) -> np.ndarray:
+    def probe(self, points: ArrayLike) -> np.ndarray:
         """Displacement at points.
 
         Parameters
@@ -174,6 +212,10 @@ class Result:
         ValueError
             Without a mesh, or where a point lies outside it.
         """
+        found = self._located(points)
+        return np.einsum("nk,nkd->nd", found.weights, self.displacement[self.mesh.elements[found.element]])
+
+    def _located(self, points: ArrayLike) -> Location:
         from adaptmg.transfer import PointLocator
 
         if self.mesh is None:
@@ -186,27 +228,170 @@ class Result:
         if outside.any():
             i = int(np.argmax(outside))
             raise ValueError(f"point {i} {points[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
-        corners = self.displacement[self.mesh.elements[found.element]]
-        return np.einsum("nk,nkd->nd", found.weights, corners)
+        return found
+
+    def stress(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
+        """Cauchy stress, tension positive: xx, yy, zz, xy, yz, xz (``Result.COMPONENTS``).
+
+        In 2D zz is the stress through the thickness, yz and xz are 0. In axisymmetry x is r, y the axis, zz the hoop.
+
+        Parameters
+        ----------
+        at : "elements", "nodes" or (n, dim) array-like
+            All elements (recovered: centroids), all nodes, or points, m. A point on an edge belongs to one of the
+            elements there, a node that two bodies share to the body named first.
+        recovered : bool
+            False: the stress of the displacement, constant on each element (with the mean hoop strain); nodes have
+            none. True: continuous in each body and linear on elements, fitted around each node (Zienkiewicz and Zhu):
+            more accurate where the solution is smooth, too smooth where it is not.
+
+        Returns
+        -------
+        (n, 6) array
+            Pa.
+
+        Raises
+        ------
+        ValueError
+            Without mesh or materials, at a point outside the mesh, or for nodes without ``recovered``.
+        """
+        return self._values(self._data().tensors(self.mesh, self.displacement), at, recovered)
+
+    def strain(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
+        """Strain tensor (n, 6), initial strains included: xx, yy, zz, xy, yz, xz; arguments as of :meth:`stress`.
+
+        xy is half of the change of the angle. zz is the strain through the thickness (0 in plane strain), in
+        axisymmetry the hoop strain.
+        """
+        return self._values(self._data().strains(self.mesh, self.displacement), at, recovered)
+
+    def von_mises(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
+        """Von Mises stress (n,), Pa, of :meth:`stress`, whose arguments it takes."""
+        return von_mises(as_tensors(self.stress(at, recovered=recovered)))
+
+    def principal_stresses(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
+        """Principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose arguments it takes."""
+        return np.linalg.eigvalsh(as_tensors(self.stress(at, recovered=recovered)))[:, ::-1]
 
     def stresses(self) -> np.ndarray:
-        """Return the Cauchy stress (n_elements, 6), Pa, tension positive: xx, yy, zz, xy, yz, xz.
+        """Return ``stress("elements")``: the constant stress of each element (n_elements, 6), Pa."""
+        return self.stress()
 
-        It is constant on each element (of axisymmetric bodies the mean hoop stress). In 2D zz is the stress through the
-        thickness, yz and xz are 0; in axisymmetry x is r, y the axis and zz the hoop stress. ValueError without a mesh
-        or materials.
+    @property
+    def energy(self) -> float:
+        """Strain energy, J (plane problems: J/m): u'Au / 2, or with initial strains that of the elastic strains.
+
+        The potential of loads and friction is not part of it.
         """
-        return self._stress_tensors()[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+        return self._data().energy(self.mesh, self.displacement)
 
-    def von_mises(self) -> np.ndarray:
-        """Return the von Mises stress (n_elements,), Pa."""
-        return von_mises(self._stress_tensors())
+    @property
+    def contact_area(self) -> float:
+        """Area of the surfaces in contact, m^2 (plane problems: length, m): boundary masses of nodes not open."""
+        return float(self.contact.weights[self.contact.closed].sum())
 
-    def _stress_tensors(self) -> np.ndarray:
+    @property
+    def max_pressure(self) -> float:
+        """Largest contact pressure of a node (force over boundary mass), Pa; 0 without contact nodes.
+
+        A node where a contact boundary ends, at a plane or an axis of symmetry too, is the least accurate.
+        """
+        return float(self.contact.pressure.max(initial=0.0))
+
+    @property
+    def contact_extent(self) -> np.ndarray:
+        """Half-widths (dim,) of the surfaces in contact along x, y (and z), m; 0 without contact.
+
+        Half the sides of the box around them, in axisymmetry first their outer radius; half a (symmetric) model has
+        half of its half. They end halfway between a node in contact and an open one. ValueError without a mesh.
+        """
+        return self._extent(np.ones(len(self.contact), dtype=bool))
+
+    def _extent(self, own: np.ndarray) -> np.ndarray:
+        """Of the contact nodes that the mask ``own`` chooses."""
+        c, mesh = self.contact, self.mesh
+        if mesh is None:
+            raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .contact_area")
+        closed = np.isin(np.arange(mesh.n_nodes), c.node[own & c.closed])
+        points = [mesh.points[closed]]
+        for k in np.unique(c.boundary[own]):
+            facets = mesh.boundary_facets(c.names[k])
+            for a, b in combinations(facets.T, 2):
+                ends = closed[a] != closed[b]
+                points.append(0.5 * (mesh.points[a[ends]] + mesh.points[b[ends]]))
+        every = np.concatenate(points)
+        if not len(every):
+            return np.zeros(self.dim)
+        low, high = every.min(axis=0), every.max(axis=0)
+        if c.axisymmetric:
+            low[0] = -high[0]
+        return 0.5 * (high - low)
+
+    def pairs(self) -> pandas.DataFrame:
+        """Return one row a contact boundary or pair, with units in the heads; ValueError without a mesh.
+
+        Nodes by state; the force on the body (the slave) and, unless axisymmetric, its moment about the origin; area,
+        half-widths as of :attr:`contact_extent`, largest pressure.
+        """
+        import pandas
+
+        c, axes, rows = self.contact, "xyz"[:self.dim], []
+        force, area = c.units
+        moment, about = ("N m", axes) if self.dim == 3 else ("N", "" if c.axisymmetric else "z")
+        for k, (name, pair) in enumerate(zip(c.names, c.pair_names, strict=True)):
+            own, on_it, row = c.boundary == k, self.resultant(name), {"pair": pair}
+            row |= c.counts(own) | {f"area [{area}]": c.weights[own & c.closed].sum()}
+            for what, unit, letters, values in (("force", force, axes, on_it.force),
+                                                ("moment", moment, about, np.atleast_1d(on_it.moment)),
+                                                ("half_width", "m", axes, self._extent(own))):
+                row |= {f"{what}_{axis} [{unit}]": value for axis, value in zip(letters, values, strict=False)}
+            rows.append(row | {"max_pressure [Pa]": c.pressure[own].max(initial=0.0)})
+        return pandas.DataFrame(rows)
+
+    def work_to(self, error: float, of: str = "error_estimate") -> float:
+        """Work units until an error of the history fell below ``error``, and stayed there; infinite if it never did.
+
+        ``of`` is the column of ``history``: "error_estimate" (algebraic: the estimate of ||u - u_h||_A / ||u_h||_A),
+        "true_error" (with a reference), "residual" or "change", all relative. The nested start is included.
+        """
+        error = checks.positive("error", error)
+        names = [name for name in self.history if name not in ("cycle", "work_units", "seconds")]
+        if of not in names:
+            raise ValueError(f"of must be one of {', '.join(map(repr, names)) or 'none'}, got {checks.shown(of)}")
+        known = ~np.isnan(self.history[of])
+        values, work = self.history[of][known], self.history["work_units"][known]
+        above = np.flatnonzero(~(values <= error))
+        first = above[-1] + 1 if len(above) else 0
+        return float(work[first]) if first < len(work) else float("inf")
+
+    def plot(self, kind: str = "deformation") -> Figure:
+        """Draw the result: ``am.plot.deformation``, ``am.plot.contact`` or ``am.plot.history``, by name."""
+        import adaptmg
+
+        return getattr(adaptmg.plot, checks.choice("kind", kind, ("deformation", "contact", "history")))(self)
+
+    def _data(self) -> StressData:
         if self.mesh is None or self.stress_data is None:
             raise ValueError("this result has no materials to compute stresses from (it comes from a bare "
                              "DiscreteProblem): replace its mesh and stress_data=StressData.of(mesh, material)")
-        return self.stress_data.tensors(self.mesh, self.displacement)
+        return self.stress_data
+
+    def _values(self, tensors: np.ndarray, at: str | ArrayLike, recovered: bool) -> np.ndarray:
+        """Tensors (n_elements, 3, 3) as columns where they are asked for."""
+        from adaptmg.discrete.recovery import recovered as fit
+
+        values = tensors[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
+        found = None if isinstance(at, str) else self._located(at)
+        if found is None:
+            checks.choice("at", at, ("elements", "nodes"))
+        if not checks.flag("recovered", recovered):
+            if found is None and at == "nodes":
+                raise ValueError("at='nodes' needs recovered=True: the elements of a node have different values")
+            return values if found is None else values[found.element]
+        cells, nodal = fit(self.mesh, values)
+        if found is not None:
+            return np.einsum("nk,nkc->nc", found.weights, nodal[cells[found.element]])
+        return nodal[:self.mesh.n_nodes] if at == "nodes" else nodal[cells].mean(axis=1)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
         """Force and moment exerted on the body through a boundary.
@@ -215,7 +400,7 @@ class Result:
         ----------
         boundary : str
             'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its contact
-            forces), or any other boundary (reactions of its supports).
+            forces), or any other boundary (reactions of its supports and springs), or "point (0, 1)" of a PointSpring.
         about : (dim,) array-like, optional
             Point of the moment, m; default the origin.
 
@@ -226,13 +411,16 @@ class Result:
             surfaces that lie on each other, and else up to the lever between the two discrete surfaces: 1e-8 to 1e-4 of
             force times size on curved ones. The mortar transmits each force across the gap without regard to its arm.
         """
-        nodes, forces = self._forces_on(boundary)
+        at_point = boundary in self.springs and boundary not in self.mesh.boundaries
+        nodes, forces = (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)
         if self.mesh is None:
             return Resultant(forces.sum(axis=0), None)
         about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
-        arms = self.mesh.points[nodes] - about
-        moment = np.cross(arms, forces) if self.dim == 3 else arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0]
-        return Resultant(forces.sum(axis=0), moment.sum(axis=0))
+        touches = boundary in ("contact", *self.contact.names, *(self.contact.masters or ()))
+        of_springs = np.array(self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3)))
+        force, turning = of_springs[:self.dim], of_springs[self.dim:]
+        turning = turning - moment(about[None], force[None]) + moment(self.mesh.points[nodes] - about, forces)
+        return Resultant(forces.sum(axis=0) + force, turning if self.dim == 3 else turning[0])
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
         """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node may have both)."""
@@ -329,6 +517,15 @@ class NotConverged(RuntimeError):
     ----------
     result : Result
         The last iterate with its true residual.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> try:
+    ...     am.solve(grids, am.SingleGrid(max_sweeps=1))
+    ... except am.NotConverged as error:
+    ...     error.result.status.name
+    'LIMIT'
     """
 
     def __init__(self, result: Result) -> None:
@@ -339,6 +536,9 @@ class NotConverged(RuntimeError):
                          f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}."
                          f"{contradicted} The last iterate is in the exception's .result; throw=False returns "
                          "it instead.")
+
+    def __repr__(self) -> str:
+        return shortened(super().__repr__())
 
     def __reduce__(self) -> tuple[object, ...]:
         # exceptions are rebuilt from .args, which is the text here: a process that is handed one back must not fail

@@ -15,6 +15,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -38,8 +39,9 @@ _FORMAT = 1
 _TEXT: dict[str, object] = {
     "problem_name": str, "solver_name": str, "fallback": str, "cycles": int, "work_units": float, "residual": float,
     "rtol": float, "error_estimate": float, "rate": float, "start_work_units": float, "timings": {str: float},
-    "path": [(int, str, int)], "levels": [{str: float}], "versions": {str: str}, "supports": {str: str}}
-_LATER = {"supports": {}}  # missing in files of earlier versions
+    "path": [(int, str, int)], "levels": [{str: float}], "versions": {str: str}, "supports": {str: str},
+    "choice": str, "springs": {str: [float]}}
+_LATER = {"supports": {}, "choice": "", "springs": {}}  # missing in files of earlier versions
 _LABELS = {"names": "contact", "masters": "contact", "boundaries": "mesh", "bodies": "mesh"}
 #: shapes of the arrays, a letter for each length: p nodes, d components, t tangents, n contact nodes, m nodes that
 #: follow, e elements of c corners, f facets, b bodies, s initial strains
@@ -179,10 +181,12 @@ def _fields(text: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
     columns = {name.removeprefix("history."): array for name, array in arrays.items() if name.startswith("history.")}
     if any(values.ndim != 1 for values in columns.values()) or len({len(v) for v in columns.values()}) > 1:
         raise ValueError("the columns of history differ in length")
-    objects = {}
+    objects: dict[str, Any] = {}
     for group, cls in (("contact", ContactResult), ("mesh", MeshArrays), ("stress", StressData)):
         own = {name: labels[name] for name, of in _LABELS.items() if of == group and of in found}
         objects[group] = cls(**groups[group], **own) if group in found else None
+    if objects["stress"] is not None and objects["stress"].axisymmetric:
+        objects["contact"] = replace(objects["contact"], axisymmetric=True)
     if labels["masters"] and len(labels["masters"]) != len(labels["names"]):
         raise ValueError(f"there are {len(labels['names'])} names and {len(labels['masters'])} masters")
     # later steps of a load path are kept without their mesh

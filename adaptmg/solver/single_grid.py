@@ -46,6 +46,12 @@ class SingleGrid:
     rtol : float
         Tolerance of that test.
     max_sweeps : int
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.SingleGrid(omega=1.5)).status.name
+    'CONVERGED'
     """
 
     omega: float = 1.0

@@ -19,12 +19,10 @@ nodes in contact the bound is another one.
 from __future__ import annotations
 
 import logging
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg._runtime import remembered
@@ -32,6 +30,7 @@ from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import local_system
+from adaptmg.solver.advice import advise
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.factorisation import condense
 
@@ -128,7 +127,9 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     basis = vectors[:, kept] * np.sqrt(len(nodes) / values[kept])
     modes, forces = modes @ basis, forces @ basis
     strained = np.abs(forces).max(axis=1) > 1e-9
-    return modes @ _null_combinations(np.vstack([modes[problem.fixed[dofs]], forces[strained]])).T
+    # springs far softer than the body hold it too
+    scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
+    return modes @ _null_combinations(np.vstack([modes[problem.fixed[dofs]], forces[strained] / scale])).T
 
 
 def _null_combinations(rows: np.ndarray) -> np.ndarray:
@@ -179,6 +180,8 @@ class _Forces:
 
     def least_unbalanced(self, work: np.ndarray) -> tuple[float, np.ndarray]:
         """Smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it is done."""
+        from scipy.optimize import linprog
+
         k, n_edges = self.edges.shape
         columns = np.hstack([self.edges, self.segments, np.eye(k), -np.eye(k)])
         bounds = np.zeros((columns.shape[1], 2))
@@ -354,10 +357,10 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
     beyond = friction >= critical
     if beyond.any():
         i = int(np.argmax(np.where(beyond, friction - critical, -np.inf)))
-        warnings.warn(f"friction {friction[i]:g} exceeds {critical[i]:.2g}, from which on a node in contact alone may "
-                      f"open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes of the "
-                      "coarsest grid): the solution may not be unique; compare am.solve(..., start=...) from several "
-                      "starts", RuntimeWarning, stacklevel=3)
+        advise("friction", f"friction {friction[i]:g} exceeds {critical[i]:.2g}, from which on a node in contact alone "
+               f"may open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes of the coarsest "
+               "grid): the solution may not be unique; compare am.solve(..., start=...) from several starts",
+               RuntimeWarning)
 
 
 def warn_of_large_friction(examiner: Examiner) -> None:
@@ -369,6 +372,6 @@ def warn_of_large_friction(examiner: Examiner) -> None:
     beyond = coupling >= np.linalg.eigvalsh(tangential)[:, 0]
     if beyond.any():
         i = int(np.argmax(beyond))
-        warnings.warn(f"friction {examiner.contact.friction[i]:g} is so large that the solution may not be unique "
-                      f"({np.count_nonzero(beyond)} contact nodes, the first is node {nodes[i]}); "
-                      "which one is found depends on start and method", RuntimeWarning, stacklevel=3)
+        advise("friction", f"friction {examiner.contact.friction[i]:g} is so large that the solution may not be unique "
+               f"({np.count_nonzero(beyond)} contact nodes, the first is node {nodes[i]}); which one is found depends "
+               "on start and method: compare am.solve(..., start=...) from several starts", RuntimeWarning)

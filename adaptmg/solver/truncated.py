@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
@@ -28,8 +27,9 @@ from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.multigrid.truncated_step import TruncatedStep
-from adaptmg.solver.active_set import ActiveSet
+from adaptmg.multigrid.truncated_step import Ring, TruncatedStep
+from adaptmg.smoother.system import local_system
+from adaptmg.solver.active_set import ActiveSet, coarsest_solution
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.iterate import iterate
 from adaptmg.solver.projected import ProjectedMultigrid, ProjectedRun, need_levels
@@ -48,7 +48,7 @@ class Truncated:
     Parameters
     ----------
     recombine : int
-        Past iterates recombined with the present one, 0 to 2.
+        Past iterates recombined with the present one, 0 to 4.
     coarse_sweeps : int, optional
         Smoothing before and after the coarse correction on the coarser levels, 1 or 2; there is one symmetric sweep on
         the finest. Default: 1 on levels whose matrix has more than 1.25 times the entries a row of the finest one
@@ -64,20 +64,26 @@ class Truncated:
         A user-defined smoother of the linear problems between the coarsest level and the finest, anything with
         ``setup(matrix) -> object with smooth(rhs, x) -> passes``. Default: Gauss-Seidel sweeps. The smoother of the
         finest level, projected sweeps that leave the residual behind, is part of the method.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.Multigrid(correction=am.Truncated())).status.name
+    'CONVERGED'
     """
 
     #: how much denser than the finest matrix a coarse one is that is smoothed once only
     DENSE: ClassVar[float] = 1.25
 
-    recombine: int = 2
+    recombine: int = 4
     coarse_sweeps: int | None = None
     interface_sweeps: int = 2
     coarse_solve: LinearSolve | None = None
     coarse_smoother: LinearSmoother | None = None
 
     def __post_init__(self) -> None:
-        if checks.integer("recombine", self.recombine) > 2:
-            raise ValueError(f"recombine must be 0, 1 or 2, got {self.recombine!r}")
+        if checks.integer("recombine", self.recombine) > Ring.MOST:
+            raise ValueError(f"recombine must be 0 to {Ring.MOST}, got {self.recombine!r}")
         if self.coarse_sweeps is not None and checks.integer("coarse_sweeps", self.coarse_sweeps, 1) > 2:
             raise ValueError(f"coarse_sweeps must be 1 or 2, got {self.coarse_sweeps!r}")
         checks.integer("interface_sweeps", self.interface_sweeps)
@@ -111,9 +117,6 @@ class TruncatedRun:
 
     #: cycles on a level of a complete nested start at most
     COMPLETE_LIMIT = 60
-    #: of the diagonal, added to a coarsest matrix that is singular
-    SHIFT = 1e-9
-
     def __init__(self, options: TruncatedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
         need_levels(hierarchy)
         if options.start is not None:
@@ -191,21 +194,15 @@ class TruncatedRun:
         problem, level = self.problems[0], self.cycle.levels[0]
         with self.run.phase("start"):
             # rows are empty where dofs are fixed, and where the next mesh is locally the coarser one
-            diagonal = problem.matrix.diagonal()
-            regular, load = regular_matrix(level, diagonal), problem.load_from_prescribed()
-            for shift in (0.0, self.SHIFT):
-                matrix = regular + sparse.diags_array(shift * diagonal) if shift else regular
-                matrix = sparse.bsr_array(matrix, blocksize=(problem.dim,) * 2)
-                grids = Hierarchy.single(replace(problem, matrix=matrix, load=load))
-                try:
-                    found = ActiveSet(rtol=start.rtol).run(grids, Run(unit=self.run.unit), None)
-                except (np.linalg.LinAlgError, ValueError) as error:
-                    _LOG.info("coarsest level, shift %g: the active set method gives up: %s", shift, error)
-                    continue
-                self.run.count(found.cycles, level.nonzeros)
-                self.run.visit(0, "solve", found.cycles)
-                return problem.from_prescribed(found.displacement)
-            return np.zeros(problem.n_dofs)
+            local = local_system(problem, regular_matrix(level, problem.matrix.diagonal()))
+            try:
+                unknowns, steps = coarsest_solution(local, start.rtol, self.run.unit)
+            except (np.linalg.LinAlgError, ValueError) as error:
+                _LOG.info("coarsest level: the active set method gives up: %s", error)
+                return np.zeros(problem.n_dofs)
+            self.run.count(steps, level.nonzeros)
+            self.run.visit(0, "solve", steps)
+            return problem.from_prescribed(local.to_cartesian(unknowns))
 
     def _start_cycles(self, number: int, unknowns: np.ndarray, start: NestedStart) -> np.ndarray:
         step, problem = self._step(number, unknowns), self.problems[number]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from adaptmg.study.cluster import local_cluster
     from adaptmg.study.designs import Grid, LatinHypercube, Points, Random, Repeated, Sobol, Zip
-    from adaptmg.study.processes import local_cluster
     from adaptmg.study.record import StudyStatus
     from adaptmg.study.study import Study
     from adaptmg.study.tables import as_html, as_text
 
 _WHERE = {"Study": "adaptmg.study.study", "StudyStatus": "adaptmg.study.record", "as_html": "adaptmg.study.tables",
-          "as_text": "adaptmg.study.tables", "local_cluster": "adaptmg.study.processes"}
+          "as_text": "adaptmg.study.tables", "local_cluster": "adaptmg.study.cluster"}
 _WHERE |= dict.fromkeys(("Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Zip"),
                         "adaptmg.study.designs")
 
@@ -26,3 +26,7 @@ def __getattr__(name: str) -> Any:
 
         return getattr(importlib.import_module(_WHERE[name]), name)
     raise AttributeError(f"module 'adaptmg.study' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

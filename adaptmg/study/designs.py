@@ -141,6 +141,11 @@ class Points(Design):
     ----------
     points : sequence of mappings, or pandas.DataFrame
         All with the same names. A point may stand there once.
+
+    Examples
+    --------
+    >>> len(list(am.study.Points([{"n": 1}, {"n": 4}]).points()))
+    2
     """
 
     def __init__(self, points: Sequence[Mapping[str, Value]] | pd.DataFrame) -> None:
@@ -251,6 +256,12 @@ class Random(_Sample):
         The same seed gives the same points, on every machine.
     log : sequence of str
         Names of ranges that are sampled on a logarithmic scale.
+
+    Examples
+    --------
+    >>> design = am.study.Random({"friction": (0.1, 1.0)}, runs=3, seed=1)
+    >>> len(list(design.points()))
+    3
     """
 
     def _unit_cube(self, count: int, dim: int, seed: int) -> np.ndarray:
@@ -258,7 +269,14 @@ class Random(_Sample):
 
 
 class LatinHypercube(_Sample):
-    """A Latin hypercube: each of ``runs`` slices of each range holds one point. Parameters as :class:`Random`."""
+    """A Latin hypercube: each of ``runs`` slices of each range holds one point. Parameters as :class:`Random`.
+
+    Examples
+    --------
+    >>> design = am.study.LatinHypercube({"friction": (0.1, 1.0)}, runs=4)
+    >>> len(list(design.points()))
+    4
+    """
 
     def _unit_cube(self, count: int, dim: int, seed: int) -> np.ndarray:
         from scipy.stats import qmc
@@ -270,6 +288,12 @@ class Sobol(_Sample):
     """The first points of a scrambled Sobol sequence. Parameters as :class:`Random`.
 
     More runs of the same seed extend the sequence; a power of 2 is balanced.
+
+    Examples
+    --------
+    >>> design = am.study.Sobol({"young": (1e9, 1e11)}, runs=4, log="young")
+    >>> len(list(design.points()))
+    4
     """
 
     def _unit_cube(self, count: int, dim: int, seed: int) -> np.ndarray:

@@ -8,18 +8,23 @@ numpy is Python's number of the same kind, NaN is itself (``NaN``), and 0.0 is n
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from json.encoder import encode_basestring
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._fingerprint import Fingerprint
 
-__all__ = ["DETAILS", "RESERVED", "Record", "Scalar", "StudyStatus", "Value", "bounded", "canonical", "parameter_value",
-           "plain_results", "reasons", "restored"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["DETAILS", "RESERVED", "Record", "Scalar", "StudyStatus", "Value", "bounded", "canonical", "frame",
+           "parameter_value", "plain_results", "reasons", "restored"]
 
 Scalar = bool | int | float | str | None
 Value = Scalar | tuple["Value", ...]
@@ -134,7 +139,14 @@ _MOST = 12
 
 @dataclass(frozen=True, kw_only=True)
 class StudyStatus:
-    """Counts of the runs of a study, and why runs are stale or failed."""
+    """Counts of the runs of a study, and why runs are stale or failed.
+
+    Examples
+    --------
+    >>> study = am.Study(lambda n: {"square": n * n}, {"n": [1, 2]})
+    >>> study.status().missing
+    2
+    """
 
     name: str  # of the study
     done: int  # stored and valid
@@ -174,3 +186,24 @@ def reasons(stale: Iterable[Record], now: Fingerprint, versions: Mapping[str, st
         for text in changes:
             found[text] += count
     return dict(found)
+
+
+def frame(names: Sequence[str], rows: Sequence[tuple[Mapping[str, Value], Record | None, str]],
+          details: bool = False) -> pd.DataFrame:
+    """Return a table of runs: parameters by ``names``, results, status, seconds, error, and details."""
+    import pandas as pd
+
+    results = dict.fromkeys(name for _, record, _ in rows if record is not None for name in record.results)
+    made: dict[str, list[object]] = {name: [point.get(name) for point, _, _ in rows] for name in names}
+    # NaN where a row lacks a result, as a table of dicts has it
+    made |= {name: [math.nan if record is None else record.results.get(name, math.nan) for _, record, _ in rows]
+             for name in results}
+    made["status"] = [status for _, _, status in rows]
+    made["seconds"] = [math.nan if record is None else record.seconds for _, record, _ in rows]
+    made["error"] = ["" if record is None else record.error for _, record, _ in rows]
+    for name in DETAILS if details else ():
+        made.setdefault(name, [None if record is None else getattr(record, name) for _, record, _ in rows])
+    order = [*names, *results, *RESERVED, *(name for name in made if name in DETAILS and name not in results)]
+    # texts that are not UTF-8 are refused by the text columns of pandas with pyarrow
+    return pd.DataFrame({name: pd.Series(made[name], dtype=object if any(isinstance(v, str) for v in made[name])
+                                         else None) for name in order})

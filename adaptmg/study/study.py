@@ -7,7 +7,11 @@ import inspect
 import logging
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,10 +22,18 @@ from adaptmg._fingerprint import Fingerprint, environment, fingerprint
 from adaptmg.study.designs import Design, Given, as_design, extended, stored_design
 from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, commit, in_turn, now
 from adaptmg.study.kept_files import Folder
-from adaptmg.study.progress import Watch, watched
-from adaptmg.study.record import DETAILS, RESERVED, Record, StudyStatus, Value, canonical, parameter_value, reasons
+from adaptmg.study.record import (
+    DETAILS,
+    RESERVED,
+    Record,
+    StudyStatus,
+    Value,
+    canonical,
+    frame,
+    parameter_value,
+    reasons,
+)
 from adaptmg.study.store import Store
-from adaptmg.study.tables import frame
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,11 +45,11 @@ if TYPE_CHECKING:
 
     Kept = np.ndarray | MeshArrays | Result | str | Path
 
-__all__ = ["Study", "in_order"]
+__all__ = ["Study", "Watch", "in_order"]
 
-_log = logging.getLogger(__name__)
+_log = logging.getLogger("adaptmg.study")
 Cost = Callable[[Point], float] | str
-Progress = bool | Callable[[Watch], None] | None
+Progress = bool | Callable[["Watch"], None] | None
 #: parts of fingerprints after the runs of this process, with the parts before them
 _LEFT: dict[tuple[str, str], str] = {}
 #: parts of the content of files: a change while runs go on is not caused by the runs
@@ -150,7 +162,7 @@ class Study:
         workers : int, optional
             Processes on this machine that compute runs, one thread each (dask.distributed). Default: this process.
         scheduler : str, distributed.Client or cluster, optional
-            A cluster of dask, such as ``"tcp://host:8786"``, or the client of :func:`adaptmg.study.processes`.
+            A cluster of dask, such as ``"tcp://host:8786"``, or the client of :func:`adaptmg.study.local_cluster`.
         rerun : bool
             Compute every point again.
         retry_failed : bool
@@ -271,7 +283,7 @@ class Study:
         """Compute runs, and store each when it ends."""
         runs = execute(task, todo)
         try:
-            with watched(self.name, total, total - len(todo), lambda: getattr(execute, "running", 1), bar) as watch:
+            with _watched(self.name, total, total - len(todo), lambda: getattr(execute, "running", 1), bar) as watch:
                 for batch in runs:
                     records = [self._record(point, outcome, found, versions) for point, outcome in batch]
                     self._store.put_all(self.name, records, found.parts)
@@ -372,3 +384,60 @@ def in_order(points: list[Point], cost: Cost | None, stored: Mapping[str, Record
         return float(value) if isinstance(value, int | float) and not math.isnan(value) else math.inf
 
     return sorted(points, key=of, reverse=True)
+
+
+class Watch:
+    """Counts of a running study; ``show`` is called after each run."""
+
+    def __init__(self, name: str, total: int, before: int, running: Callable[[], int],
+                 show: Callable[[Watch], None] | None = None) -> None:
+        self.name, self.total, self.done, self.failed = name, total, before, 0
+        self._before, self._running, self._show = before, running, show
+        self._begin = time.monotonic()
+
+    def finished(self, point: Point, outcome: Finished) -> None:
+        """Count a run and report it; ``point`` has the parameters that vary."""
+        self.done += 1
+        self.failed += bool(outcome.error)
+        if self._show is not None:
+            self._show(self)
+        given = ", ".join(f"{name}={value!r}" for name, value in point.items())
+        head = f"study {self.name}: [{self.done}/{self.total}] {given}"
+        if outcome.error:
+            _log.warning("%s failed: %s", head, outcome.error)
+        elif self._show is None and _log.isEnabledFor(logging.INFO):
+            _log.info("%s done in %.3g s; %s", head, outcome.seconds, self.words())
+
+    def words(self) -> str:
+        """Return failures, runs that are left, and when the study should end at the pace so far."""
+        left, here = self.total - self.done, self.done - self._before
+        failed = f"{self.failed or 'none'} failed"
+        if not left:
+            return f"{failed}, the end"
+        seconds = (time.monotonic() - self._begin) / max(here, 1) * left
+        end = datetime.now().astimezone() + timedelta(seconds=seconds)
+        when = f"ends about {end:{'%H:%M:%S' if seconds < 12 * 3600 else '%Y-%m-%d %H:%M'}}" if here else "end unknown"
+        return f"{failed}, {min(self._running(), left)} running, {left} left, {when}"
+
+
+@contextmanager
+def _watched(name: str, total: int, before: int, running: Callable[[], int],
+            bar: bool | Callable[[Watch], None] | None) -> Iterator[Watch]:
+    """Yield a watch; with a bar on standard error if ``bar``, or if it is None and standard error is a terminal.
+
+    A function as ``bar`` is called after each run instead.
+    """
+    # without a console (pythonw, a service) Python has no standard error
+    if callable(bar) or sys.stderr is None or not (sys.stderr.isatty() if bar is None else bar):
+        yield Watch(name, total, before, running, bar if callable(bar) else None)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    with Progress(TextColumn("{task.description}", markup=False), BarColumn(24), MofNCompleteColumn(),
+                  TimeElapsedColumn(), TextColumn("{task.fields[words]}"), console=Console(stderr=True)) as shown:
+        task = shown.add_task(name, total=total, completed=before, words="")
+        watch = Watch(name, total, before, running,
+                      lambda watch: shown.update(task, completed=watch.done, words=watch.words()))
+        shown.update(task, words=watch.words())
+        yield watch

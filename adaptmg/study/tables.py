@@ -1,4 +1,4 @@
-"""Tables of a study: runs as a table of pandas, and tables as aligned text and as HTML with units in the headers."""
+"""Tables as aligned text and as HTML, with units in the headers."""
 
 from __future__ import annotations
 
@@ -10,37 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adaptmg._text import in_html, printable
-from adaptmg.study.record import DETAILS, RESERVED, Record, Value
 
 if TYPE_CHECKING:
     import pandas as pd
 
     Table = pd.DataFrame | Mapping[str, Sequence[object]]
 
-__all__ = ["as_html", "as_text", "cells", "frame", "numeric"]
-
-_NAN = float("nan")
-
-
-def frame(names: Sequence[str], rows: Sequence[tuple[Mapping[str, Value], Record | None, str]],
-          details: bool = False) -> pd.DataFrame:
-    """Return a table of runs: parameters by ``names``, results, status, seconds, error, and details."""
-    import pandas as pd
-
-    results = dict.fromkeys(name for _, record, _ in rows if record is not None for name in record.results)
-    made: dict[str, list[object]] = {name: [point.get(name) for point, _, _ in rows] for name in names}
-    # NaN where a row lacks a result, as a table of dicts has it
-    made |= {name: [_NAN if record is None else record.results.get(name, _NAN) for _, record, _ in rows]
-             for name in results}
-    made["status"] = [status for _, _, status in rows]
-    made["seconds"] = [_NAN if record is None else record.seconds for _, record, _ in rows]
-    made["error"] = ["" if record is None else record.error for _, record, _ in rows]
-    for name in DETAILS if details else ():
-        made.setdefault(name, [None if record is None else getattr(record, name) for _, record, _ in rows])
-    order = [*names, *results, *RESERVED, *(name for name in made if name in DETAILS and name not in results)]
-    # texts that are not UTF-8 are refused by the text columns of pandas with pyarrow
-    return pd.DataFrame({name: pd.Series(made[name], dtype=object if any(isinstance(v, str) for v in made[name])
-                                         else None) for name in order})
+__all__ = ["as_html", "as_text", "cells", "numeric"]
 
 
 def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
@@ -57,6 +33,13 @@ def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
         Shown in the header: ``{"seconds": "s"}`` gives 'seconds [s]'.
     formats : mapping of column to str
         Format of numbers, as in ``format(x, ".2e")``; default ``.4g`` for floats.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> text = am.study.as_text(pd.DataFrame({"cycles": [14, 9]}), caption="Cycles")
+    >>> "14" in text
+    True
     """
     headers, columns = cells(table, units, formats)
     widths = [max(map(len, (header, *column)), default=0) for header, column in zip(headers, columns, strict=True)]
@@ -74,7 +57,14 @@ def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
 
 def as_html(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
             formats: Mapping[str, str] | None = None) -> str:
-    """Return a table as an HTML ``<figure>``, escaped, numbers in class ``n``; arguments as of :func:`as_text`."""
+    """Return a table as an HTML ``<figure>``, escaped, numbers in class ``n``; arguments as of :func:`as_text`.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> "<table" in am.study.as_html(pd.DataFrame({"cycles": [14, 9]}))
+    True
+    """
     headers, columns = cells(table, units, formats)
     classes = [' class="n"' if numeric(column) else "" for _, column in table.items()]
     head = "".join(f"<th{c}>{in_html(h)}</th>" for h, c in zip(headers, classes, strict=True))

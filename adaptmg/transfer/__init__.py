@@ -21,3 +21,7 @@ __all__ = ["CLIP", "L2", "Interpolation", "Location", "LumpedL2", "PointLocator"
            "Supports", "Transfer", "aggregated_prolongations", "galerkin_product", "injected_gap", "injected_limit",
            "injected_slip", "is_galerkin", "largest_gap", "mesh_ratio", "minmod_slip", "size_ratio", "smallest_gap",
            "summed_limit", "supports", "surface_interpolation", "with_contact_rows", "without_fixed"]
+
+
+def __dir__() -> list[str]:
+    return __all__

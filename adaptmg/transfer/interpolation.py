@@ -47,6 +47,14 @@ class Interpolation:
 
     Entries are >= 0 with row sums 1. Reproduces constants always, and affine fields at every fine node that lies in
     the coarse mesh. On nested meshes it is the canonical embedding. Bodies are matched by name and interpolated apart.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> meshes = [am.mesh.structured(problem.domain, n) for n in (2, 3)]       # not nested
+    >>> grids = am.Hierarchy.from_meshes(problem, meshes, transfer=am.Interpolation())
+    >>> grids.finest.prolongation.shape
+    (16, 9)
     """
 
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:

@@ -61,6 +61,14 @@ class LumpedL2(_Projection):
     :math:`P = D^{-1} B` with :math:`D_{ii} = \int \varphi^f_i`: entries >= 0, row sums 1. Reproduces constants only: an
     affine field is evaluated at the centre of gravity of the shape function, which on the boundary is never the node.
     For comparison; :class:`adaptmg.transfer.PseudoL2` costs the same and does better.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> meshes = [am.mesh.structured(problem.domain, n) for n in (2, 3)]       # not nested
+    >>> grids = am.Hierarchy.from_meshes(problem, meshes, transfer=am.LumpedL2())
+    >>> grids.finest.prolongation.shape
+    (16, 9)
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
@@ -82,6 +90,14 @@ class PseudoL2(_Projection):
     Row sums 1; entries may be negative, so that it proves nothing for the monotone correction (interpolate the contact
     rows there: :func:`adaptmg.transfer.with_contact_rows`). Reproduces constants always, and affine fields at fine
     nodes whose elements the coarse mesh covers. On nested meshes it is the canonical embedding.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> meshes = [am.mesh.structured(problem.domain, n) for n in (2, 3)]       # not nested
+    >>> grids = am.Hierarchy.from_meshes(problem, meshes, transfer=am.PseudoL2())
+    >>> grids.finest.prolongation.shape
+    (16, 9)
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
@@ -102,6 +118,14 @@ class QuasiInterpolation(_Projection):
     Row sums 1; entries may be negative. Reproduces constants always, and affine fields at fine nodes whose patch the
     coarse mesh covers. Unlike the other affine transfers it is not a projection: on nested meshes it smooths the kinks
     of the coarse function.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> meshes = [am.mesh.structured(problem.domain, n) for n in (2, 3)]       # not nested
+    >>> grids = am.Hierarchy.from_meshes(problem, meshes, transfer=am.QuasiInterpolation())
+    >>> grids.finest.prolongation.shape
+    (16, 9)
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
@@ -142,6 +166,14 @@ class L2(_Projection):
     Row sums 1; entries may be negative. Reproduces constants always and, as the moments of a row are restored after
     entries were dropped, affine fields where the coarse mesh covers the fine one. On nested meshes it is the canonical
     embedding. A row that cannot have its moments so, of a node next to a coarse one, is that of :class:`PseudoL2`.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> meshes = [am.mesh.structured(problem.domain, n) for n in (2, 3)]       # not nested
+    >>> grids = am.Hierarchy.from_meshes(problem, meshes, transfer=am.L2())
+    >>> grids.finest.prolongation.shape
+    (16, 9)
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:

@@ -1,7 +1,5 @@
 """The bolted junction: equilibrium, preload, the effect of the pressure, 2D against 3D, agreement of methods."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 
@@ -88,15 +86,6 @@ def test_values_by_mesh_convergence(bolt):
     assert c.pressure[joint].max() == pytest.approx(values["peak"], rel=0.06)
     assert c.force_n[joint].sum() == pytest.approx(values["joint_force"], rel=0.07)
     assert "values" not in bolted_junction(bolt=bolt, pressure=3e6).reference
-
-
-@pytest.mark.parametrize("bolt", ["ring", "traction"])
-def test_multigrid_agrees_with_the_active_set_method(bolt):
-    result, exact = am.solve(grids(bolt), am.FullMultigrid(rtol=1e-10)), solved(bolt)
-    assert result.status.ok and not result.fallback
-    error = (result.displacement - exact.displacement).reshape(-1)
-    assert np.linalg.norm(error) < 1e-8 * np.linalg.norm(exact.displacement)
-    assert (result.contact.state == exact.contact.state).all()
 
 
 def test_a_sector_in_three_dimensions_agrees_with_the_ring():

@@ -1,81 +1,29 @@
 """Cases with closed forms, solved by the active set method and by multigrid, and their balance of forces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from bodies import assert_balanced
+from saddle import Parts
 
 import adaptmg as am
 from adaptmg import cases
 from adaptmg.mesh import graded
-from adaptmg.transfer import mesh_ratio
 
 # below 1e-11 the small weights of nodes at an axis of revolution leave rounding
 EXACT = am.ActiveSet(rtol=1e-11)
 MULTIGRID = am.FullMultigrid(rtol=1e-10)
 
 
-def loads_on(problem, mesh, body):
-    """Resultant of the constant loads on one body, from areas and volumes of the mesh alone."""
-    total = np.zeros(mesh.dim)
-    for load in problem.loads:
-        if isinstance(load, am.BodyForce):
-            if load.body == body:
-                volumes = mesh.volumes[mesh.element_body == mesh.bodies.index(body)]
-                total += volumes.sum() * np.array(load.components)
-            continue
-        if load.boundary.split(".")[0] != body and len(mesh.bodies) > 1:
-            continue
-        corners = mesh.points[mesh.boundary_facets(load.boundary)]
-        side = corners[:, 1] - corners[:, 0]
-        # area times the outward normal
-        normals = (np.stack([side[:, 1], -side[:, 0]], axis=1) if mesh.dim == 2 else
-                   0.5 * np.cross(side, corners[:, 2] - corners[:, 0]))
-        if problem.axisymmetric:
-            normals *= 2 * np.pi * corners[:, :, :1].mean(axis=1)
-        if isinstance(load, am.Pressure):
-            total -= load.value * normals.sum(axis=0)
-        else:
-            total += np.linalg.norm(normals, axis=1).sum() * np.array(load.components)
-    return total
-
-
-def assert_newton(problem, result, rtol=1e-9):
-    """Loads, reactions of supports and contact forces balance on every body, slave and master with each other."""
-    mesh, contact = result.mesh, result.contact
-    along = slice(1, 2) if problem.axisymmetric else slice(None)
-    scale = max(np.abs(loads_on(problem, mesh, body)[along]).max() for body in mesh.bodies)
-    supports = result.reaction.copy()
-    np.subtract.at(supports, contact.node, contact.force)
-    np.subtract.at(supports, contact.master_node, contact.master_force)
-    for body in mesh.bodies:
-        def on(name, body=body):
-            return name and (len(mesh.bodies) == 1 or name.split(".")[0] == body)
-        nodes = [mesh.boundary_nodes(s.boundary) for s in problem.supports if on(s.boundary)]
-        total = loads_on(problem, mesh, body) + sum(
-            result.resultant(name).force for name in (*contact.names, *contact.masters) if on(name))
-        total += supports[np.unique(np.concatenate(nodes))].sum(axis=0) if nodes else 0.0
-        assert np.abs(total[along]).max() < rtol * scale
-    for slave, master in zip(contact.names, contact.masters, strict=True):
-        if master:
-            pair = result.resultant(slave).force + result.resultant(master).force
-            assert np.abs(pair[along]).max() < 1e-12 * scale
-
-
 def solved(problem, meshes):
     """By the active set method; multigrid, where there are several meshes, must agree."""
     grids = am.Hierarchy.from_meshes(problem, meshes)
     exact = am.solve(grids, EXACT)
-    assert_newton(problem, exact)
-    for coarse, fine in pairwise(meshes):
-        # nowhere else than in stray elements is a coarse mesh as fine as the next
-        assert mesh_ratio(coarse, fine, quantile=0.02) > 1.1 and mesh_ratio(coarse, fine, quantile=0.98) < 4.5
+    assert_balanced(exact, Parts.of(problem, exact.mesh), 1e-9, flat=False)
     if len(meshes) > 1:
         result = am.solve(grids, MULTIGRID)
-        assert_newton(problem, result, rtol=1e-7)
+        assert_balanced(result, Parts.of(problem, result.mesh), 1e-7, flat=False)
         size = np.abs(exact.displacement).max()
         np.testing.assert_allclose(result.displacement, exact.displacement, rtol=0, atol=1e-8 * size)
         assert result.work_units < 60
@@ -94,7 +42,7 @@ def test_patch_uniform(options, cells, matching):
     pressure, traction = problem.reference["pressure"], problem.reference["traction"]
     np.testing.assert_allclose(result.contact.pressure, pressure, rtol=1e-10)
     np.testing.assert_allclose(np.linalg.norm(result.contact.traction, axis=1), traction, atol=1e-10 * pressure)
-    assert_newton(problem, result)
+    assert_balanced(result, Parts.of(problem, result.mesh), 1e-9, flat=False)
     counts = {len(mesh.boundary_nodes(name)) for name in problem.pair_boundaries}
     assert (len(counts) == 1) is matching
 
@@ -161,8 +109,8 @@ def test_cattaneo_partial_slip():
     at_once = am.solve(grids, MULTIGRID)
     size = np.abs(result.displacement).max()
     np.testing.assert_allclose(at_once.displacement, result.displacement, rtol=0, atol=1e-8 * size)
-    assert_newton(problem, result)
-    assert_newton(problem, at_once, rtol=1e-7)
+    assert_balanced(result, Parts.of(problem, result.mesh), 1e-9, flat=False)
+    assert_balanced(at_once, Parts.of(problem, at_once.mesh), 1e-7, flat=False)
     np.testing.assert_allclose(result.resultant("upper.contact").force, [-1.5e4, 1e5], rtol=1e-9)
     np.testing.assert_allclose(path[0].resultant("upper.contact").force, [0, 1e5], atol=1e-4)
 
@@ -202,19 +150,6 @@ def test_flat_punch():
         np.testing.assert_allclose(contact.pressure[inside], closed(x[inside]), rtol=bound)
     assert contact.pressure.max() > 5 * closed(0.0)
     assert result.resultant("contact").force[1] == pytest.approx(-5e5, rel=1e-9)
-
-
-def test_meshes_follow_their_size_field():
-    problem = cases.flat_punch()
-    a = problem.reference["half_width"]
-    for finest, mesh in zip((1 / 50, 1 / 100), cases.flat_punch_meshes(problem, finest=1 / 100, levels=2), strict=True):
-        grading = 8 * finest
-        centres = mesh.points[mesh.elements].mean(axis=1)
-        wanted = np.minimum(finest * a + grading * np.linalg.norm(centres - (a, 0), axis=1), 0.65 * grading * 40 * a)
-        relative = mesh.element_sizes / wanted
-        # longest edges over sizes that fall by 2000; bisection alone would leave jumps from .7 to 1.7
-        low, middle, high = np.quantile(relative, (0.02, 0.5, 0.98))
-        assert low > 0.75 and 0.9 < middle < 1.2 and high < 1.6
 
 
 @pytest.mark.parametrize("angle", [0.0, 26.5])

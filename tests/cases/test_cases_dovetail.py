@@ -1,12 +1,10 @@
 """The dovetail joint: its geometry, the balance of forces, its reference values, and refused arguments."""
 
-from __future__ import annotations
-
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from norms import distance
 
 import adaptmg as am
 from adaptmg.cases import dovetail
@@ -71,18 +69,10 @@ def test_contact_carries_the_pull_and_supports_the_clamp(result):
         assert abs(slave.moment + master.moment) <= 1e-12 * PULL
 
 
-def test_pushed_in_the_floor_carries_too():
-    pushed = am.solve(grids_of(dovetail(pull=-100e6), SIZES[:3]), am.FullMultigrid())
-    assert pushed.resultant("contact").force[1] == pytest.approx(PULL, rel=1e-7)
-    assert pushed.resultant("tongue.bottom").force[1] > 0.1 * PULL and lift(pushed) < 0
-
-
 def test_multigrid_agrees_with_the_active_set_method_within_16_cycles(grids, result):
     discrete = grids.finest.discrete
     other = am.solve(discrete, am.ActiveSet(rtol=1e-12))
-    error, u = (discrete.relative(v).reshape(-1) for v in (result.displacement - other.displacement,
-                                                           other.displacement))
-    assert math.sqrt(error @ (discrete.matrix @ error) / (u @ (discrete.matrix @ u))) < 1e-8
+    assert distance(discrete, result.displacement, other.displacement) < 1e-8
     assert (result.contact.state == other.contact.state).all()
     assert result.status is am.Status.CONVERGED and result.cycles <= 16 and result.rate <= 0.5
 
@@ -112,13 +102,6 @@ def test_a_clearance_lifts_by_itself_over_the_cosine():
     assert lifts[1] - lifts[0] == pytest.approx(20e-6 / math.cos(math.radians(50)), rel=0.03)
 
 
-def test_friction_holds_the_tongue_back(grids):
-    meshes = [level.mesh for level in grids.levels[:3]]
-    lifts = [lift(am.solve(am.Hierarchy.from_meshes(dovetail(law=law), meshes), am.FullMultigrid()))
-             for law in (am.Frictionless(), am.Coulomb(0.2), am.Coulomb(0.5))]
-    assert lifts[0] > lifts[1] > lifts[2] > 0
-
-
 @pytest.mark.parametrize(("arguments", "message"), [
     ({"clearance": -1e-6}, "clearance must be >= 0, got -1e-06: .* allow_interference=True"),
     ({"clearance": 5e-3}, r"clearance 0.005 m is larger than the block has room for"),
@@ -127,12 +110,3 @@ def test_friction_holds_the_tongue_back(grids):
 def test_bad_dimensions_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         dovetail(**arguments)
-
-
-def test_an_interference_fit_is_posed_with_gaps():
-    problem = dovetail(pull=0.0, clamp=0.0, law=am.Frictionless())
-    flank = am.ContactPair("tongue.flank", "block.flank", gap=-5e-6, allow_interference=True)
-    tight = replace(problem, contact=(flank, problem.contact[1]))
-    result = am.solve(grids_of(tight, SIZES[:3]), am.FullMultigrid())
-    on_flank, on_floor = (result.resultant(name).force[1] for name in ("tongue.flank", "tongue.bottom"))
-    assert on_flank < -1e4 and on_floor == pytest.approx(-on_flank, rel=1e-7)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from adaptmg.cli import app
+from adaptmg.cli import main
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -19,7 +19,7 @@ def command(capsys, monkeypatch, tmp_path) -> Command:
 
     def run(*arguments: str) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as end:
-            app(list(arguments), prog_name="adaptmg")
+            main(arguments)
         out, err = capsys.readouterr()
         return end.value.code or 0, out, err
 

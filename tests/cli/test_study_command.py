@@ -15,10 +15,10 @@ import pandas as pd
 import pytest
 
 import adaptmg as am
-from adaptmg.cli import build, commands, explain
-from adaptmg.cli.build import grids
-from adaptmg.cli.measure import MEASURES, case_run
-from adaptmg.cli.study_file import PURPOSE, case_keys, checked, read, sections
+from adaptmg.cli import build, explain
+from adaptmg.cli.build import PURPOSE, case_keys, grids, sections
+from adaptmg.cli.case_run import MEASURES, case_run
+from adaptmg.cli.study_file import checked, read
 from adaptmg.study import Study
 from adaptmg.study.store import Store
 
@@ -71,12 +71,13 @@ def test_a_file_is_run_once_and_gives_what_a_script_gives(command):
     assert row["max_pressure"] == result.contact.pressure.max() and row["machine"]
 
 
-def test_workers_give_the_same_table(command):
-    text = written()
-    command("study", text, "--store", "one.sqlite")
-    code, *_ = command("study", text, "--store", "two.sqlite", "--workers", "2")
-    one, two = (Store(f"{name}.sqlite").get("bar") for name in ("one", "two"))
-    assert code == 0 and {k: r.results for k, r in one.items()} == {k: r.results for k, r in two.items()}
+def test_options_reach_the_study(command, monkeypatch):
+    given, run = {}, Study.run
+    monkeypatch.setattr(Study, "run", lambda self, **options: given.update(options) or run(self, progress=False))
+    text = written(SMALL.replace("[vary]", "[run]\nlimit_s = 9\ncost = \"cycles\"\n[vary]"))
+    assert command("study", text, "--workers", "2", "--rerun", "--retry-failed", "--store", "two.sqlite")[0] == 0
+    assert given == {"progress": None, "workers": 2, "scheduler": None, "rerun": True, "retry_failed": True,
+                     "limit_s": 9.0, "cost": "cycles"} and Path("two.sqlite").exists()
 
 
 def test_a_run_that_fails_ends_with_code_1_and_is_tried_again_when_asked(command):
@@ -299,15 +300,6 @@ def test_every_listed_default_of_a_method_is_its_default(method):
             value = tomllib.loads(f"value = {known.default}")["value"]
             value = float(value) if known.real else value
             assert build.solver_of({"method": build.name_of(method), key: value}) == method(), key
-
-
-def test_names_on_the_command_line_are_those_of_the_classes():
-    named = {"LawName": build.OBJECTS["law"], "TransferName": build.OBJECTS["transfer"], "SolverName": build.METHODS,
-             "CorrectionName": build.OBJECTS["correction"], "LinearName": build.OBJECTS["linear"],
-             "EngineName": build.OBJECTS["engine"], "IndicatorName": build.OBJECTS["indicator"][:2]}
-    for name, kinds in named.items():
-        assert list(getattr(commands, name).__args__) == [build.name_of(kind) for kind in kinds]
-    assert build.keys_of(am.Cycle)["shape"].values == " | ".join(commands.Shape.__args__)
 
 
 def test_sizes_of_bodies_can_be_varied(tmp_path, monkeypatch):

@@ -13,10 +13,7 @@ SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
 
 
 def chained(rng, links=2, n=4, bodies=None):
-    """Weights of ``links`` + 1 groups of n nodes: most nodes of a group follow nodes of the next, some are negative.
-
-    Numbers are shuffled, so that neither the order of the bodies nor that of the links shows in them.
-    """
+    """Weights of ``links`` + 1 groups of n nodes: most nodes of a group follow nodes of the next, some are negative."""
     bodies = links + 1 if bodies is None else bodies
     weights = np.zeros((bodies * n, bodies * n))
     for k in range(links):

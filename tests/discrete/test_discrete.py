@@ -34,20 +34,12 @@ class TestContactNodes:
 
     @pytest.mark.parametrize(("changes", "error", "message"), [
         ({"nodes": [2, 2]}, ValueError, "distinct"),
-        ({"nodes": [-1, 2]}, ValueError, "distinct and >= 0"),
         ({"nodes": np.zeros(0, dtype=int), "normals": np.zeros((0, 2)), "gaps": []}, ValueError, "nodes is empty"),
-        ({"normals": [[0.0, -1.0]]}, ValueError, "normals must have shape"),
-        ({"normals": np.ones((2, 4)) / 2}, ValueError, "normals must have shape"),
         ({"normals": [[0.0, np.nan], [0.6, -0.8]]}, ValueError, "normals must be finite; 1 entries are not"),
         ({"normals": [[0.0, -1.0], [0.6, -0.9]]}, ValueError, "contact node 1 has length 1.08"),
-        ({"gaps": [0.0]}, ValueError, "gaps must have shape"),
         ({"gaps": [0.0, -1e-3]}, ValueError, "got -0.001 at contact node 1; for an interference fit"),
-        ({"gaps": [0.0, np.inf]}, ValueError, "gaps must be finite"),
         ({"weights": [1.0, 0.0]}, ValueError, "weights must be > 0"),
-        ({"weights": [1.0]}, ValueError, "weights must have shape"),
-        ({"slip_reference": np.zeros(2)}, ValueError, "slip_reference must have shape"),
         ({"boundary": [0, 1]}, ValueError, "boundary must index names"),
-        ({"boundary": [0, -1]}, ValueError, "boundary must index names"),
     ])
     def test_refuses(self, changes, error, message):
         with pytest.raises(error, match=message):
@@ -67,16 +59,12 @@ class TestDiscreteProblem:
         np.testing.assert_array_equal(discrete(coordinates=points, near_nullspace=own).near_nullspace, own)
 
     @pytest.mark.parametrize(("changes", "error", "message"), [
-        ({"matrix": sparse.eye_array(6, 5).tocsr()}, ValueError, "must be square"),
         ({"matrix": sparse.csr_array((6, 6))}, ValueError, "matrix is zero"),
         ({"matrix": sparse.diags_array([1, 1, 1, -1, 1, 1.0]).tocsr()}, ValueError, r"entry 3 \(node 1\) is -1"),
         ({"matrix": (sparse.eye_array(6) + sparse.eye_array(6, k=1) * 1e-3).tocsr()}, ValueError, "must be symmetric"),
-        ({"fixed_values": np.zeros(4)}, ValueError, "fixed_values must have shape"),
         ({"law": Coulomb(np.ones(3))}, ValueError, "array over the 2 contact nodes"),
         ({"law": Tresca(lambda x: x[:, 0])}, TypeError, "evaluated at the nodes first"),
         ({"contact": contact(nodes=[0, 3])}, ValueError, "node 3 does not exist; there are 3 nodes"),
-        ({"coordinates": np.zeros((3, 3))}, ValueError, "coordinates must have shape"),
-        ({"near_nullspace": np.zeros((4, 3))}, ValueError, "near_nullspace must have shape"),
         ({"fixed": np.array([False, True, False, False, False, False])}, ValueError, "normal part is fixed"),
         ({"fixed": np.array([False, False, False, False, True, False])}, ValueError, "contact node 1"),
     ])

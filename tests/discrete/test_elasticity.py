@@ -1,7 +1,5 @@
 """Stiffness, stress and initial strains of every kind of body, one or several: against NGSolve and closed forms."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +13,7 @@ from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import hoop_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh import MeshArrays, structured
-from adaptmg.problem import BodyForce, Box, PlaneStrain, PlaneStress, Pressure, Rectangle, Solid, Support
+from adaptmg.problem import BodyForce, Box, PlaneStrain, PlaneStress, Rectangle, Solid, Support
 from adaptmg.problem.loads import InitialStrain
 from adaptmg.problem.materials import Axisymmetric
 
@@ -47,7 +45,6 @@ def meridian(inner: float, divisions: int | tuple[int, int] = (4, 3)) -> MeshArr
 PARTS = {dim: {"lower": part(dim, 3, 0.0), "upper": part(dim, 2, 1.0)} for dim in (2, 3)}
 BOTH = {dim: joined(parts, dict.fromkeys(parts, (0.0,) * dim)) for dim, parts in PARTS.items()}
 SOLID, RING = shaken(meridian(0.0), 0.007, 3), shaken(meridian(INNER), 0.007, 3)
-MESHES = pytest.mark.parametrize("mesh", [SOLID, RING], ids=["solid", "ring"])
 
 
 def two(kind) -> dict:
@@ -197,29 +194,6 @@ def test_patch_test(mesh, material):
         np.testing.assert_allclose(stress, np.broadcast_to(expected, stress.shape), atol=1e-11 * np.abs(expected).max())
 
 
-def test_lame_cylinder_converges():
-    # in the norm of L2: at single nodes, as in the corners, the best of P1 is h^2 log h
-    # bore under pressure, plane strain in z: u_r = (1 + nu) / E * (A (1 - 2 nu) r + B / r), hoop stress A + B / r^2
-    p = 1e8
-    a = p * INNER**2 / (OUTER**2 - INNER**2)
-    b = a * OUTER**2
-    supports = [Support("bottom", y=0.0), Support("top", y=0.0)]
-    errors, stress_errors = [], []
-    for n in (4, 8, 16):
-        mesh = meridian(INNER, (2 * n, n))
-        lumped = np.bincount(mesh.elements.reshape(-1), weights=np.repeat(mesh.volumes / 3, 3))
-        u = solved(mesh, STEEL, [Pressure("left", p)], supports)
-        r = mesh.points[:, 0]
-        exact = (1 + STEEL.poisson) / STEEL.young * (a * (1 - 2 * STEEL.poisson) * r + b / r)
-        error = np.sum((u - np.column_stack([exact, 0 * r]))**2, axis=1)
-        errors.append(np.sqrt(lumped @ error / (lumped @ exact**2)))
-        centre = mesh.points[mesh.elements, 0].mean(axis=1)
-        stress_errors.append(np.abs(full_stress(mesh, STEEL, u)[:, 2, 2] / (a + b / centre**2) - 1).mean())
-    rates = np.log2(np.divide(errors[:-1], errors[1:]))
-    assert (rates > 1.9).all() and errors[-1] < 5e-4, (errors, rates)
-    assert (np.divide(stress_errors[:-1], stress_errors[1:]) > 1.7).all() and stress_errors[-1] < 0.02, stress_errors
-
-
 class TestInitialStrain:
     @EACH_KIND
     def test_a_free_body_lengthens_without_stress(self, kind):
@@ -327,10 +301,7 @@ ROCK = Solid(young=1.0, poisson=0.2)
 
 @pytest.mark.parametrize(("call", "error", "message"), [
     (lambda: stiffness(PLATE, ROCK), ValueError, "the material is 3D, the mesh 2D"),
-    (lambda: full_stress(PLATE, ROCK, np.zeros(PLATE.points.shape)), ValueError, "the material is 3D"),
-    (lambda: stiffness(PLATE, 2.1e11), TypeError, "material must be PlaneStrain"),
     (lambda: stiffness(_turned(PLATE), ONE), ValueError, r"element 5 with nodes .* is inverted or degenerate"),
-    (lambda: stiffness(_turned(BLOCK), ROCK), ValueError, r"element 5 with nodes .* is inverted or degenerate"),
     (lambda: stiffness(replace(PLATE, points=PLATE.points[:-1]), ONE), ValueError,
      r"mesh\.elements must be numbers from 0 to 14, got 0 to 15"),
     (lambda: stiffness(replace(PLATE, element_body=np.ones(len(PLATE.elements))), ONE), ValueError,
@@ -343,17 +314,10 @@ ROCK = Solid(young=1.0, poisson=0.2)
     (lambda: full_stress(BOTH[2], {"lower": ONE, "upper": 1.0}, np.zeros(BOTH[2].points.shape)), TypeError,
      r"mapping body name -> one of them, got 1\.0"),
     (lambda: von_mises(np.zeros((3, 2, 2))), ValueError, r"stress must have shape \(n, 3, 3\)"),
-    (lambda: von_mises(np.zeros((3, 4))), ValueError, r"stress must have shape \(n, 3, 3\)"),
-    (lambda: element_strain(PLATE, np.zeros((3, 2))), ValueError, "displacement must have shape"),
     (lambda: load_vector(BOTH[3], [BodyForce((0.0, 0.0, 1.0), body="roof")], ROCK), ValueError,
      "body 'roof' does not exist; the bodies are lower, upper"),
-    (lambda: load_vector(BOTH[3], [InitialStrain("roof", (1.0, 1.0, 1.0))], ROCK), ValueError, "body 'roof' does not"),
     (lambda: load_vector(BOTH[3], [InitialStrain("upper", (1.0, 1.0, 1.0))]), ValueError,
      "depends on the elastic constants: give material"),
-    (lambda: load_vector(BOTH[3], [InitialStrain("upper", (1.0, 1.0))], ROCK), ValueError,
-     "2 components on a 3D mesh: give 3"),
-    (lambda: load_vector(BOTH[3], [InitialStrain("upper", (1.0, 1.0, lambda x: np.full(len(x), np.nan)))], ROCK),
-     ValueError, "component 3 of InitialStrain on 'upper' must be finite"),
 ])
 def test_refusals(call, error, message):
     with pytest.raises(error, match=message):
@@ -366,9 +330,3 @@ def test_kernels_without_jit(monkeypatch):
     for name, case in CASES.items():
         np.testing.assert_allclose(stiffness(*case).data, compiled[name], rtol=0,
                                    atol=1e-14 * np.abs(compiled[name]).max())
-
-
-def test_importing_does_not_load_ngsolve():
-    code = ("import sys, adaptmg.discrete, adaptmg.cases, adaptmg.solver.statics, adaptmg.transfer; "
-            "sys.exit('ngsolve' in sys.modules or 'netgen' in sys.modules)")
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

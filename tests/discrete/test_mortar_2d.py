@@ -220,11 +220,6 @@ class TestRefusals:
         with pytest.raises(ValueError, match="share node 4"):
             self.made(slave=np.r_[self.DATA[1], [[3, 4]]])
 
-    def test_normals_elsewhere_are_not_read(self):
-        points, slave, master, normals = self.DATA
-        normals = np.where(np.arange(7)[:, None] < 4, normals, np.nan)
-        assert_same(mortar_2d(points, slave, master, normals), mortar_2d(*self.DATA))
-
 
 class TestNormals:
     def test_weighted_by_length(self):
@@ -236,21 +231,6 @@ class TestNormals:
         points = np.array([[0, 0, 0], [0, 2, 0], [4, 0, 0], [0, 0, 1.0]])
         normals = surface_normals(points, np.array([[0, 1, 2], [0, 3, 1]]))
         np.testing.assert_allclose(normals[[0, 2]], [np.array([-1, 0, -4]) / np.sqrt(17), [0, 0, -1]])
-
-    def test_symmetry_planes(self):
-        points = arc(1.0, np.linspace(1.5, 2, 5) * np.pi)
-        fixed = np.zeros((5, 2), dtype=bool)
-        fixed[0, 0] = fixed[2, 0] = True  # at node 2 the held direction is 45 degrees off: not a plane of symmetry
-        facets = np.column_stack([np.arange(4), np.arange(1, 5)])
-        plain, normals = surface_normals(points, facets), surface_normals(points, facets, fixed=fixed)
-        np.testing.assert_array_equal(normals[0], [0, -1])
-        np.testing.assert_allclose(normals[1:], plain[1:], atol=1e-15)
-        assert abs(plain[0, 0]) > 0.1
-
-    def test_refusals(self):
-        points = np.array([[0.0, 0.0], [1.0, 0.0]])
-        with pytest.raises(ValueError, match="no normal at node 0"):
-            surface_normals(points, np.array([[0, 1], [1, 0]]))
 
 
 def test_without_jit(monkeypatch):

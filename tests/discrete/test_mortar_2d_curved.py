@@ -34,12 +34,6 @@ class TestCurved:
         coarse, fine, finer = (errors(n) for n in (48, 96, 192))
         assert (coarse > 3.3 * fine).all() and (fine > 3.6 * finer).all() and (finer < 1e-4).all()
 
-    def test_matching_arcs(self):
-        angles = np.linspace(0, 2 * np.pi, 30, endpoint=False)
-        found = mortar_2d(*two(arc(1.0, angles), arc(1.0, angles)[::-1], closed=True))
-        assert abs(found.coupling[:, 30:].toarray()[:, ::-1] - np.eye(30)).max() < 1e-12
-        assert abs(found.gaps).max() < 1e-12
-
     def test_press_fit_finds_the_near_side(self):
         # hole of radius 1, shaft of radius 1.02: the rays also meet the far side of the hole
         data = two(arc(1.02, np.linspace(0, 2 * np.pi, 60, endpoint=False)),

@@ -55,14 +55,6 @@ def test_surfaces_in_3d():
     np.testing.assert_allclose(found.weights @ x[:, :2], [0.5, 0.5])
 
 
-def test_concentric_rings():
-    angles, i = np.linspace(0, 2 * np.pi, 40, endpoint=False), np.arange(40)
-    ring, slave = np.column_stack([np.cos(angles), np.sin(angles)]), np.column_stack([i, np.roll(i, -1)])
-    points = np.concatenate([ring, 1.2 * ring])
-    found = node_to_node(points, slave, slave[:, ::-1] + 40, surface_normals(points, slave))
-    np.testing.assert_allclose(found.gaps, 0.2)
-
-
 def test_excluded_nodes_have_no_row():
     *data, _ = lines(np.linspace(0, 1, 5), 0.0)
     found = node_to_node(*data, excluded=(0, 3))

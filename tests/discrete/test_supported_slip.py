@@ -41,13 +41,10 @@ def grids(problem, dim, on_pad, on_plate):
     return am.Hierarchy.uniform(problem, [divisions(on_pad // 2, on_plate // 2), divisions(on_pad, on_plate)])
 
 
-@pytest.mark.parametrize("solver", [am.FullMultigrid(rtol=1e-11), am.Multigrid(rtol=1e-11), EXACT],
-                         ids=["nested", "cold", "active set"])
+@pytest.mark.parametrize("solver", [am.FullMultigrid(rtol=1e-11), EXACT], ids=["nested", "active set"])
 @pytest.mark.parametrize(("dim", "slave", "coupling", "on_pad", "on_plate"), [
-    (2, "pad", "mortar", 4, 4), (2, "pad", "mortar", 8, 5), (2, "pad", "mortar", 5, 8), (2, "pad", "mortar", 32, 24),
-    (2, "plate", "mortar", 4, 4), (2, "plate", "mortar", 8, 5), (2, "plate", "mortar", 24, 32),
-    (2, "pad", "nodes", 8, 8), (2, "plate", "mortar", 16, 16), (3, "pad", "mortar", 4, 4), (3, "pad", "mortar", 4, 5),
-    (3, "pad", "mortar", 6, 4), (3, "plate", "mortar", 4, 5), (3, "pad", "nodes", 4, 4)])
+    (2, "pad", "mortar", 8, 5), (2, "pad", "mortar", 5, 8), (2, "plate", "mortar", 4, 4), (2, "plate", "mortar", 8, 5),
+    (2, "pad", "nodes", 8, 8), (3, "pad", "mortar", 6, 4), (3, "plate", "mortar", 4, 5), (3, "pad", "nodes", 4, 4)])
 def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate, solver):
     problem = pad(dim, slave, coupling)
     result = am.solve(grids(problem, dim, on_pad, on_plate), solver)
@@ -64,18 +61,16 @@ def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate, solver):
     assert taken == pytest.approx(-on_the_pad[0], rel=1e-8)
 
 
-@pytest.mark.parametrize("pull", [1e-6, 1e-5, 1e-3])
-@pytest.mark.parametrize(("on_pad", "on_plate"), [(8, 5), (6, 9), (8, 8)])
-def test_a_pad_against_multipliers(pull, on_pad, on_plate):
+@pytest.mark.parametrize("pull", [1e-6, 1e-3])
+@pytest.mark.parametrize(("on_pad", "on_plate"), [(8, 5), (6, 9)])
+def test_solvers_agree_on_a_pad(pull, on_pad, on_plate):
     levels = grids(pad(2, pull=pull), 2, on_pad, on_plate)
-    solvers = {"nested": am.FullMultigrid(rtol=1e-11), "active set": EXACT, "sparse": am.ActiveSet(condensed=False),
-               "single grid": am.SingleGrid(condensed=True, rtol=1e-11),
-               "monotone": am.FullMultigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400)}
-    assert_agrees(levels, solvers)
+    assert_agrees(levels, {"nested": am.FullMultigrid(rtol=1e-11), "sparse": am.ActiveSet(condensed=False),
+                           "monotone": am.FullMultigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400)})
 
 
 @pytest.mark.parametrize("pull", [1e-6, 1e-3])
-def test_a_pad_in_3d_against_multipliers(pull):
+def test_solvers_agree_on_a_pad_in_3d(pull):
     levels = grids(pad(3, pull=pull), 3, 4, 5)
     assert_agrees(levels, {"nested": am.FullMultigrid(rtol=1e-11), "active set": EXACT})
 
@@ -115,7 +110,7 @@ class TestObstacle:
         assert held == pytest.approx(-force[0], rel=1e-8)
 
     @pytest.mark.parametrize("law", [am.Coulomb(0.4), am.Tresca(1.5e7)], ids=["coulomb", "tresca"])
-    @pytest.mark.parametrize("pull", [0.0, 1e-7, 2e-5])
+    @pytest.mark.parametrize("pull", [1e-7, 2e-5])
     def test_friction_is_opposite_to_all_of_the_slip(self, law, pull):
         """3D: one tangent is driven by the support, the other one free; single grids, Newton, cycles agree."""
         problem = am.ContactProblem(

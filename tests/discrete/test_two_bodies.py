@@ -1,7 +1,6 @@
 """Bodies in contact: exact states on any meshes, chains of bodies, the hierarchies they are solved on."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ from bodies import (
 
 import adaptmg as am
 from adaptmg.discrete.discretise import discretise
-from adaptmg.mesh import graded, merged, structured
+from adaptmg.mesh import structured
 
 INDEPENDENT = {2: [(4, 2), (7, 3)], 3: [(3, 1, 1), (2, 2, 1)]}
 
@@ -55,7 +54,7 @@ class TestPatch:
         assert_state(am.solve(discretise(pressed(mesh, pairs, materials), mesh), EXACT), uniaxial(mesh, materials))
 
     @PAIRS
-    @pytest.mark.parametrize("covered", [0.02, 0.24, 0.6, 1.0])
+    @pytest.mark.parametrize("covered", [0.02, 0.6])
     def test_overhanging(self, covered, pair):
         # the last edge that touches at all is covered by this fraction
         n, materials = 5, MATERIALS[2]
@@ -92,7 +91,7 @@ class TestPatch:
         assert result.resultant("lower.top").force[1] == pytest.approx(-force, rel=1e-11)
 
     @PAIRS
-    @pytest.mark.parametrize("turn", [0.3, 2.0, -1.1, (0.3, -0.5, 1.1), (2.0, 0.4, -0.7)])
+    @pytest.mark.parametrize("turn", [2.0, (0.3, -0.5, 1.1)])
     def test_turned(self, turn, pair):
         dim = 3 if np.ndim(turn) else 2
         flat, materials, Q = stacked(INDEPENDENT[dim]), MATERIALS[dim], rotation(turn)
@@ -123,80 +122,9 @@ class TestPatch:
         np.testing.assert_array_equal(found["mortar"].contact.node, found["nodes"].contact.node)
         np.testing.assert_allclose(found["mortar"].contact.weights, found["nodes"].contact.weights, rtol=1e-12)
 
-    @PAIRS
-    def test_inclined_and_stuck(self, pair):
-        # steeper than the interface, the friction cone holds the upper part
-        lower = am.Polygon(vertices=[(0, 0), (1, 0), (1, 0.7), (0, 0.4)], boundaries=("bottom", "right", "top", "left"))
-        upper = am.Polygon(vertices=[(0, 0.4), (1, 0.7), (1, 1.2), (0, 1.2)],
-                           boundaries=("bottom", "right", "top", "left"))
-        material = am.PlaneStrain(young=1e11, poisson=0.0)
-        problem = am.ContactProblem(
-            material=material, contact=am.ContactPair(*pair), law=am.Coulomb(0.35),
-            loads=(am.Pressure("upper.top", P),), supports=(am.Support("lower.bottom", x=0.0, y=0.0),))
-        meshes = [merged({"lower": graded(lower, h, ()), "upper": graded(upper, 0.8 * h, ())}) for h in (0.3, 0.15)]
-        grids = am.Hierarchy.from_meshes(problem, meshes)
-        for solver in (EXACT, am.FullMultigrid(rtol=1e-12)):
-            result = am.solve(grids, solver)
-            exact = -P / 1e11 * meshes[-1].points * [0, 1]
-            np.testing.assert_allclose(result.displacement, exact, atol=1e-10 * np.abs(exact).max())
-            cosine = 1 / np.hypot(1, 0.3)
-            np.testing.assert_allclose(result.contact.pressure, P * cosine**2, rtol=1e-9)
-            np.testing.assert_allclose(np.abs(result.contact.traction[:, 0]), 0.3 * P * cosine**2, rtol=1e-9)
-            assert (result.contact.state == am.STICK).all()
-        with pytest.raises(ValueError, match=r"nothing holds.*body 'upper'"):
-            am.solve(discretise(replace(problem, law=am.Coulomb(0.25)), meshes[0]))
-
-    def test_a_chain_of_bodies(self):
-        """A block is slave below and master beside: what follows it follows the floor too."""
-        seat = structured(am.Box(width=2.0, depth=1.0, height=0.5, origin=(0.0, 0.0, -0.5)), (5, 3, 1))
-        block = structured(am.Box(width=1.0, depth=1.0, height=1.0), (3, 2, 3))
-        beside = structured(am.Box(width=0.7, depth=1.0, height=1.0, origin=(1.0, 0.0, 0.0)), (2, 3, 2))
-        soft, mesh = MATERIALS[3][1], merged({"seat": seat, "block": block, "beside": beside})
-        outside = ("seat.bottom", "seat.left", "seat.right", "block.left", "block.top", "beside.right", "beside.top")
-        pairs = (am.ContactPair("block.bottom", "seat.top"), am.ContactPair("beside.left", "block.right"),
-                 am.ContactPair("beside.bottom", "seat.top"))
-        problem = am.ContactProblem(
-            material=soft, contact=pairs, law=am.Coulomb(0.3),
-            loads=tuple(am.Pressure(name, P) for name in (*outside, "seat.top")) + tuple(
-                am.Pressure(f"{body}.{side}", P) for body in mesh.bodies for side in ("front", "back")))
-        exact = -(1 - 2 * soft.poisson) * P / soft.young * mesh.points
-        corners = [far_node(mesh, "seat", way) for way in ((-1, -1, -1), (1, -1, -1), (-1, 1, -1))]
-        load = np.zeros(mesh.points.shape)
-        for a in mesh.boundary_facets("seat.top"):  # where a block stands, it presses itself: take that off again
-            if mesh.points[a, 0].max() <= 1.7 + 1e-12:
-                load[a, 2] += P * 0.5 * np.linalg.norm(np.cross(*(mesh.points[a[1:]] - mesh.points[a[0]]))) / 3
-            elif mesh.points[a, 0].min() < 1.7:
-                load[a, 2] += P * covered_moments(mesh.points[a][:, :2], 1.7)
-        discrete = held_at_points(problem, mesh, exact, [(node, d) for node in corners for d in range(3)], load)
-        weights = discrete.coupling.weights
-        assert (weights @ weights).nnz
-        result = am.solve(am.Hierarchy((am.Level(discrete, mesh),)), EXACT)
-        assert_state(result, exact)
-        assert result.resultant("block.right").force == pytest.approx([-P, 0, 0], rel=1e-9, abs=1e-9 * P)
-        np.testing.assert_allclose(result.resultant("seat.top").force, [0, 0, -1.7 * P], atol=1e-9 * P)
-
-
-def covered_moments(triangle, edge):
-    """Integrals of the three linear shape functions over the part of a triangle (3, 2) with x < edge."""
-    x = triangle[:, 0]
-    part = []
-    for i in range(3):
-        j = (i + 1) % 3
-        if x[i] <= edge:
-            part.append(np.eye(3)[i])
-        if (x[i] - edge) * (x[j] - edge) < 0:
-            s = (edge - x[i]) / (x[j] - x[i])
-            part.append((1 - s) * np.eye(3)[i] + s * np.eye(3)[j])
-    total = np.zeros(3)
-    for b, c in pairwise(part[1:]):
-        corners = np.array([part[0], b, c])
-        p = corners @ triangle
-        total += 0.5 * abs(np.linalg.det(p[1:] - p[0])) * corners.mean(axis=0)
-    return total
-
 
 class TestCorner:
-    @pytest.mark.parametrize("order", [("floor", "wall", "cap"), ("wall", "cap", "floor"), ("cap", "wall", "floor")])
+    @pytest.mark.parametrize("order", [("floor", "wall", "cap"), ("cap", "wall", "floor")])
     def test_bodies_in_a_row(self, order):
         mesh, problem, exact = in_the_corner(order, am.Coulomb(0.3))
         a, b = far_node(mesh, "seat", (-1, -1)), far_node(mesh, "seat", (1, -1))
@@ -235,11 +163,6 @@ class TestHierarchies:
             assert result.history["true_error"][-1] <= 3e-8 and result.cycles <= 40
         return reference
 
-    def test_graded_with_sizes_by_body(self):
-        self.check(am.Hierarchy.graded(
-            bar_on_block(am.Coulomb(0.5)), sizes=[{"upper": h, "lower": 1.4 * h} for h in (16e-3, 8e-3, 4e-3)],
-            contact_ratio={"upper": 2.0, "lower": 3.0}))
-
     @pytest.mark.filterwarnings("ignore:bisected, levels=3")
     def test_bisected(self):
         problem = bar_on_block(am.Coulomb(0.5))
@@ -260,6 +183,16 @@ class TestHierarchies:
         algebraic = am.Hierarchy.algebraic(grids.finest.discrete, max_coarse=60)
         again = am.solve(algebraic, am.Multigrid(), reference=result)
         assert again.history["true_error"][-1] <= 3e-8
+
+    def test_forces_balance_where_supports_drag_a_body_over_the_other(self):
+        """At the corner both are held, and friction there passes from one support to the other."""
+        problem = bar_on_block(am.Coulomb(0.5))
+        moved = replace(problem, supports=(am.Support("upper.right", x=2e-4), *problem.supports[1:]))
+        result = am.solve(am.Hierarchy.uniform(moved, [{"upper": 4, "lower": (5, 4)}]), EXACT)
+        corner = np.argmax(result.contact.x[:, 0])
+        upper, lower = (result.resultant(name).force for name in ("upper.bottom", "lower.top"))
+        assert np.abs(result.contact.force_t[corner]) > 1e-3 * np.abs(upper[0])
+        np.testing.assert_allclose(upper, -lower, rtol=1e-10)
 
     def test_saved_and_loaded(self, tmp_path):
         grids = am.Hierarchy.graded(corner_pushed(am.Coulomb(0.3)), sizes=(0.5, 0.3))

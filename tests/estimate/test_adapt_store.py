@@ -1,7 +1,5 @@
 """The store of an adaptive loop: what was killed goes on and ends with the same numbers, other folders are refused."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import json
@@ -98,9 +96,9 @@ def test_a_finished_loop_is_read_not_made_again(kept, whole, monkeypatch):
     assert found[1].hierarchy[0] is found[0].hierarchy[0]
 
 
-@pytest.mark.parametrize("at", [1, 3, None])
+@pytest.mark.parametrize("at", [1, None])
 def test_a_killed_loop_goes_on_with_the_same_numbers(tmp_path, whole, at):
-    """Killed while it writes the head or the second step, or from outside."""
+    """Killed while it writes the head, or from outside."""
     child = subprocess.Popen([sys.executable, "-c", CHILD, str(tmp_path), str(at or -1)], stdout=subprocess.PIPE,
                              text=True)
     if at is None:
@@ -159,7 +157,6 @@ def test_laws_and_parts_of_the_user_are_compared_by_value(tmp_path):
         run(share=np.random.default_rng(0), folder="b", depends={"mark": 2})
 
 
-
 def rewritten(file: Path, **changes: object) -> None:
     with np.load(file) as archive:
         arrays = dict(archive)
@@ -171,7 +168,6 @@ def rewritten(file: Path, **changes: object) -> None:
 @pytest.mark.parametrize("change, message", [
     (lambda file: file.write_bytes(file.read_bytes()[:-10]), "is damaged"),
     (lambda file: rewritten(file, levels=[[1, -1], [0, -1]]), "another computation"),
-    (lambda file: rewritten(file, numbers={}), "another computation"),
     (lambda file: shutil.copy(file.with_name("step_0000.npz"), file), "another computation|holds step 0"),
     (lambda file: am.Result.load(file).save(file), "another computation")])
 def test_a_damaged_or_foreign_step_is_named_and_can_be_made_again(copied, whole, change, message):
@@ -195,17 +191,6 @@ def test_a_full_disk_is_said_with_the_file(tmp_path, monkeypatch):
         next(steps)
     assert [file.name for file in tmp_path.glob("*0001*")] == []
     assert len(list(loop(tmp_path))) > 1
-
-
-@pytest.mark.parametrize(("changes", "message"), [
-    ({"fingerprint": [1]}, r"loop\.json is damaged"), ({"fingerprint": None}, r"loop\.json is damaged"),
-    ({"key": []}, r"loop\.json is damaged"), ({"more": float("nan")}, r"loop\.json is damaged"),
-    ({"format": 2}, "another version")])
-def test_a_changed_head_is_refused(copied, changes, message):
-    head = json.loads((copied / "loop.json").read_text())
-    (copied / "loop.json").write_text(json.dumps(head | changes))
-    with pytest.raises(ValueError, match=message):
-        loop(copied)
 
 
 def test_folders_of_something_else_are_refused(copied):

@@ -43,7 +43,7 @@ def test_it_bisects_what_is_marked():
 
 
 @pytest.mark.parametrize("mesh", [MESH, cube(4)], ids=["2D", "3D"])
-@pytest.mark.parametrize("room", [1.02, 1.1, 1.5, 2.5])
+@pytest.mark.parametrize("room", [1.02, 1.5])
 @pytest.mark.parametrize("engine", [am.Bisect(), am.Bisect(passes=1)])
 def test_a_limit_is_kept_and_used(mesh, room, engine):
     estimate = estimate_of(mesh, mesh.points[0])
@@ -59,7 +59,7 @@ def test_a_limit_is_kept_and_used(mesh, room, engine):
         assert far[fine].mean() < far[~fine].mean()
 
 
-@pytest.mark.parametrize("part", [0.02, 0.1, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("part", [0.02, 0.3, 0.9])
 def test_a_limit_is_used_where_marks_are_scattered(part):
     # the closure around the first marks makes half the nodes
     mesh = cube(6)

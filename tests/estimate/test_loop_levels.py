@@ -1,7 +1,5 @@
 """The levels of a hierarchy that grows: neighbours neither too far apart nor too close, solutions carried up."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

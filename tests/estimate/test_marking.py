@@ -1,7 +1,5 @@
 """Doerfler marks a smallest set that holds a share of the squares, Maximum by the largest."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

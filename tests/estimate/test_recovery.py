@@ -1,7 +1,5 @@
 """Recovered stresses reproduce linear ones, and do not cross materials."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -11,6 +9,7 @@ from simplex_meshes import random_box
 from uncompiled import uncompile
 
 import adaptmg as am
+from adaptmg.discrete import recovery as fit
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate import recovery as module
 from adaptmg.estimate.recovery import recovered_energy, recovered_stress
@@ -22,7 +21,7 @@ KINDS = {2: am.PlaneStrain, 3: am.Solid}
 @pytest.fixture(params=[False, True], ids=["compiled", "plain"])
 def jit(request, monkeypatch):
     if request.param:
-        uncompile(monkeypatch, module)
+        uncompile(monkeypatch, module, fit)
     return request.param
 
 
@@ -36,6 +35,7 @@ def test_linear_stresses_are_reproduced_at_every_node(dim, jit):
     stress = ElementStress(mesh, np.zeros(mesh.points.shape), data, values)
     found = recovered_stress(stress, neighbours(mesh).across)
     np.testing.assert_allclose(found.nodal, mesh.points @ slope + constant, rtol=1e-8, atol=1e-9)
+    np.testing.assert_array_equal(fit.recovered(mesh, values)[1], found.nodal)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -70,6 +70,7 @@ def test_the_stress_may_jump_where_materials_meet():
     across = neighbours(mesh).across
     found = recovered_stress(stress, across)
     assert len(found.nodal) == mesh.n_nodes + 5  # the nodes of the interface twice
+    np.testing.assert_array_equal(fit.recovered(mesh, found.sampled)[1], found.nodal)
     assert recovered_energy(stress, found).max() < 1e-20 * (1e-3)**2 * 9e9
     boundary = np.zeros(mesh.n_nodes, dtype=bool)
     module.mark_boundary(mesh.elements, across, mesh.element_body, boundary)

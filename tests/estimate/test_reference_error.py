@@ -1,7 +1,5 @@
 """The error against a reference is the exact one where that is known, and nothing between equal solutions."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """Remesh: sizes that equilibrate errors within bounds, and meshes of these sizes for every kind of domain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simplex_meshes import delaunay, log_graded, structured, two_boxes
-from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.estimate import remesh
 from adaptmg.estimate.remesh import (
     NodeCount,
     SizeField,
@@ -32,8 +28,7 @@ def singular(mesh, place, exponent=0.6):
     return am.Estimate(squares=simplex_sizes(mesh) ** (2 + mesh.dim) * distance ** (2 * (exponent - 2)), norm=1.0)
 
 
-PLANE = {"upset": am.cases.upset_block, "punch": am.cases.flat_punch, "dovetail": am.cases.dovetail,
-         "junction": am.cases.bolted_junction, "cylinder": am.cases.hertz_cylinder, "sphere": am.cases.hertz_sphere}
+PLANE = {"upset": am.cases.upset_block, "dovetail": am.cases.dovetail, "cylinder": am.cases.hertz_cylinder}
 
 
 @pytest.mark.parametrize("refinements", [0, 1])
@@ -63,16 +58,6 @@ def test_plane_problems(case, refinements):
     assert sum(tuple(x) in old for x in mesh.points.round(12)) < 0.3 * len(old)
 
 
-def test_sizes_grow_slowly_and_ratios_stay_small():
-    problem = am.cases.upset_block()
-    mesh, engine = graded(problem.domain, 4e-3), am.Remesh(growth=2.0, finest=0.25)
-    for _ in range(4):
-        coarse, mesh = mesh, engine.refine(problem, mesh, singular(mesh, problem.domain.lower))
-        assert size_ratio(coarse, mesh) < 5
-    sizes, (pairs, lengths) = nodal_sizes(mesh, simplex_sizes(mesh)), edges_of(mesh)
-    assert np.quantile(np.abs(sizes[pairs[:, 0]] - sizes[pairs[:, 1]]) / lengths, 0.95) < 0.35
-
-
 def test_it_coarsens_where_the_error_is_small_but_contact_keeps_nodes():
     problem = am.cases.upset_block()
     mesh = graded(problem.domain, 1e-3)
@@ -88,22 +73,7 @@ def test_it_coarsens_where_the_error_is_small_but_contact_keeps_nodes():
     assert len(mesh.boundary_nodes("bottom")) >= 5
 
 
-def test_a_mesh_that_misses_its_number_of_nodes_is_made_again(monkeypatch):
-    problem = am.cases.upset_block()
-    mesh = graded(problem.domain, 4e-3)
-    made, given = am.Remesh.mesh, []
-
-    def too_coarse(self, problem, field):
-        given.append(field)
-        return made(self, problem, SizeField(field.mesh, 1.3 * field.sizes))
-
-    monkeypatch.setattr(am.Remesh, "mesh", too_coarse)
-    fine = am.Remesh().refine(problem, mesh, am.Estimate(squares=mesh.volumes**2, norm=1.0))
-    assert len(given) == 2
-    assert fine.n_nodes == pytest.approx(2.5 * mesh.n_nodes, rel=0.15)
-
-
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(growth=st.floats(1.3, 4), most=st.integers(200, 5000), exponent=st.floats(0.5, 1.5))
 def test_number_of_nodes(growth, most, exponent):
     problem = am.cases.upset_block()
@@ -121,21 +91,10 @@ def test_number_of_nodes(growth, most, exponent):
     assert fine.n_nodes >= 0.8 * max(min(aim(growth), aim(min(growth, 2.0))), 0.45 * mesh.n_nodes)
 
 
-def test_meshes_grow_less_where_sizes_fall_steeply():
-    problem = am.cases.upset_block()
-    mesh = graded(problem.domain, 2.5e-3)
-    even, steep = np.ones(len(mesh.elements)), np.ones(len(mesh.elements))
-    steep[np.argsort(np.linalg.norm(mesh.points[mesh.elements].mean(axis=1), axis=1))[:6]] = 1e4
-    nodes = [am.Remesh().refine(problem, mesh, am.Estimate(squares=squares, norm=1.0)).n_nodes / mesh.n_nodes
-             for squares in (even, steep)]
-    assert nodes == pytest.approx([2.5, 2.0], rel=0.1)
-
-
-@pytest.mark.parametrize("domain", [
-    am.Box(width=0.04, depth=0.02, height=0.03),
-    am.Cut(am.Box(width=0.04, depth=0.04, height=0.02),
-           am.Cylinder(point=(0.02, 0.02, -0.01), axis=(0, 0, 1), radius=0.01, height=0.04))], ids=["box", "cut"])
-@pytest.mark.parametrize("refinements", [0, 1])
+@pytest.mark.parametrize(("domain", "refinements"), [
+    (am.Box(width=0.04, depth=0.02, height=0.03), 1),
+    (am.Cut(am.Box(width=0.04, depth=0.04, height=0.02),
+            am.Cylinder(point=(0.02, 0.02, -0.01), axis=(0, 0, 1), radius=0.01, height=0.04)), 0)], ids=["box", "cut"])
 def test_solids(domain, refinements):
     first, *_, last = dict.fromkeys(domain.boundaries)
     problem = am.ContactProblem(material=am.Solid(young=2.1e11, poisson=0.3), domain=domain, law=am.Frictionless(),
@@ -199,14 +158,6 @@ def test_gradation_is_the_largest_field_below_that_grows_slowly(seed, dim, growt
     given = sizes.copy()
     np.testing.assert_allclose(graded_sizes(mesh, given, growth), graded_by_sweeps(mesh, sizes, growth), rtol=1e-12)
     assert (given == sizes).all()
-
-
-def test_gradation_without_the_compiler(monkeypatch):
-    mesh = log_graded(200, 1)
-    sizes = np.where(np.arange(mesh.n_nodes) == 7, 1e-6, 1.0)
-    compiled = graded_sizes(mesh, sizes, 0.3)
-    uncompile(monkeypatch, remesh)
-    assert (graded_sizes(mesh, sizes, 0.3) == compiled).all()
 
 
 @pytest.mark.parametrize("rate", [0.0, 1.5])

@@ -1,7 +1,5 @@
 """The residual indicator: nothing where the solution is exact; terms, norms and load steps."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 

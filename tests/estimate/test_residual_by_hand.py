@@ -1,9 +1,4 @@
-"""The residual indicator of whole solutions, computed again from its formula in plain numpy, element by element.
-
-Stresses are from displacements, divergences by differences, integrals by Gauss points of this module.
-"""
-
-from __future__ import annotations
+"""The residual indicator of whole solutions, computed again from its formula in plain numpy, element by element."""
 
 import itertools
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Parts of an adaptive loop that cost nothing, and what its steps computed, bit for bit."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import adaptmg as am

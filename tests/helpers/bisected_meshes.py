@@ -1,15 +1,11 @@
 """Meshes for tests of bisection, and what is asked of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
 from adaptmg.mesh import MeshArrays, check_mesh, structured
 from adaptmg.problem import Box, Rectangle
-
-__all__ = ["SQUARE", "as_sets", "crooked", "cube", "random_mask", "shape_classes", "single", "verified"]
 
 SQUARE = structured(Rectangle(width=1, height=1), 3)
 
@@ -70,3 +66,13 @@ def shape_classes(mesh: MeshArrays) -> int:
     lengths = np.sort([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)],
                       axis=0)
     return len(np.unique(np.round(lengths / lengths[-1], 6).T, axis=0))
+
+
+def containing_elements(coarse: MeshArrays, fine: MeshArrays) -> np.ndarray:
+    """The coarse element that holds each fine one, -1 where there is none."""
+    found = np.full(len(fine.elements), -1)
+    for e, corners in enumerate(coarse.points[coarse.elements]):
+        weights = np.linalg.solve((corners[1:] - corners[0]).T, (fine.points - corners[0]).T)
+        weights = np.vstack([1 - weights.sum(axis=0), weights])
+        found[(weights.min(axis=0) > -1e-12)[fine.elements].all(axis=1)] = e
+    return found

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from saddle import Parts, held_alike, solve_saddle
+from saddle import Parts, held_alike
 from scipy.spatial.transform import Rotation
 
 import adaptmg as am
@@ -113,11 +113,11 @@ def in_the_corner(order, law):
     return mesh, problem, -strain * mesh.points
 
 
-def bar_on_block(law, pair=UPPER_ON_LOWER, ratio=1.0, **options):
-    """The GRECO bar pressed on an elastic block 1.5 times as wide, ``ratio`` times as stiff."""
+def bar_on_block(law, pair=UPPER_ON_LOWER, **options):
+    """The GRECO bar pressed on an elastic block 1.5 times as wide."""
     size, bar = 40e-3, am.PlaneStrain(young=1.3e11, poisson=0.2)
     return am.ContactProblem(
-        material={"upper": bar, "lower": replace(bar, young=ratio * bar.young)}, law=law,
+        material={"upper": bar, "lower": bar}, law=law,
         domain=am.Assembly(parts={"upper": am.Rectangle(width=size, height=size), "lower": am.Rectangle(
             width=1.5 * size, height=size, origin=(-0.5 * size, -size))}),
         contact=am.ContactPair(*pair, **options),
@@ -144,46 +144,41 @@ def bar_hierarchy(problem, n=3):
 
 
 def assert_agrees(grids, solvers):
-    """Each solver agrees with multipliers on the untransformed system, and its forces balance."""
-    parts = Parts.of(grids.problem, grids.finest.mesh)
-    displacement, pressure, force = solve_saddle(parts)
-    length = np.abs(displacement).max()
+    """All find one displacement that meets the conditions of contact; forces balance on the untransformed system."""
+    parts, first = Parts.of(grids.problem, grids.finest.mesh), None
     nodes = parts.contact.nodes
-    relative = displacement[nodes] - np.where(held_alike(parts), 0.0, parts.weights[nodes] @ displacement)
     for name, solver in solvers.items():
         result = am.solve(grids, solver)
-        contact = result.contact
-        assert energy(parts, result.displacement - displacement) <= 1e-8 * energy(parts, displacement), name
-        assert np.abs(contact.force_n - pressure).max() <= 1e-8 * pressure.max(), name
-        assert np.abs(contact.force - force).max() <= 1e-8 * pressure.max(), name
+        contact, u = result.contact, result.displacement
+        first = u if first is None else first
+        size = first.ravel() @ (parts.matrix @ first.ravel())
+        assert (u - first).ravel() @ (parts.matrix @ (u - first).ravel()) <= 1e-16 * size, name
+        assert not result.certificate().contradictions(1e-8), name
         # relative to the master, but along what supports fix on both sides
+        relative = u[nodes] - np.where(held_alike(parts), 0.0, parts.weights[nodes] @ u)
         local = np.einsum("nkd,nd->nk", contact.frames, relative)
-        np.testing.assert_allclose(np.column_stack([contact.u_n, contact.u_t]), local, atol=1e-8 * length)
+        np.testing.assert_allclose(np.column_stack([contact.u_n, contact.u_t]), local, atol=1e-8 * np.abs(u).max())
         assert_balanced(result, parts, 1e-7)
 
 
-def energy(parts, displacement):
-    flat = displacement.ravel()
-    return np.sqrt(flat @ (parts.matrix @ flat))
-
-
-def assert_balanced(result, parts, tolerance):
+def assert_balanced(result, parts, tolerance, flat=True):
     """Slaves and masters to rounding; supports and loads, and free nodes, to the tolerance of the solver."""
     contact, mesh = result.contact, result.mesh
     load = parts.load.reshape(-1, mesh.dim)
     size, arm = np.abs(load).sum(), np.ptp(mesh.points)
     for slave, master in zip(contact.names, contact.masters, strict=True):
-        one, other = result.resultant(slave), result.resultant(master)
-        assert np.abs(one.force + other.force).max() <= 1e-12 * size
-        # surfaces that lie on each other: no lever between the forces
-        assert np.abs(one.moment + other.moment).max() <= 1e-12 * size * arm
+        if master:
+            one, other = result.resultant(slave), result.resultant(master)
+            assert np.abs(one.force + other.force).max() <= 1e-12 * size
+            # surfaces that lie on each other: no lever between the forces
+            assert not flat or np.abs(one.moment + other.moment).max() <= 1e-12 * size * arm
     of_contact = np.zeros_like(load)
     of_contact[contact.node] = contact.force
     np.add.at(of_contact, contact.master_node, contact.master_force)
     supports = np.where(parts.fixed.reshape(load.shape), result.reaction - of_contact, 0.0)
     assert np.abs(result.reaction - of_contact - supports).max() <= tolerance * np.abs(of_contact).max()
     # around an axis of symmetry radial forces balance by themselves
-    assert np.abs((supports + load).sum(axis=0))[int(parts.axisymmetric):].max() <= tolerance * size
+    assert np.abs((supports + load + of_contact).sum(axis=0))[int(parts.axisymmetric):].max() <= tolerance * size
     # each force at the nodes of a boundary with a support belongs to one boundary, or is shared
     named = [result.resultant(name).force for name in mesh.boundaries if name not in (*contact.names, *contact.masters)]
     np.testing.assert_allclose(np.sum(named, axis=0), supports.sum(axis=0), atol=tolerance * size)

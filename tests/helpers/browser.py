@@ -1,7 +1,5 @@
 """Chromium without a window, where it is installed: what a page measures, and how it looks."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

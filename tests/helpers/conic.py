@@ -1,10 +1,4 @@
-"""Contact problems solved by clarabel, an interior point method for conic programmes: shares no code with adaptmg.
-
-Frictionless and Tresca are minima of 1/2 u'Au - b'u + sum s_i |slip_i| over n.u <= g; Coulomb is the fixed point of
-s -> mu p.
-"""
-
-from __future__ import annotations
+"""Contact problems solved by clarabel, an interior point method for conic programmes: shares no code with adaptmg."""
 
 import clarabel
 import numpy as np

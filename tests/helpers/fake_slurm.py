@@ -1,7 +1,5 @@
 """An imitation of a queue: sbatch and scancel as scripts that start and end jobs on this machine."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,9 +1,4 @@
-"""A study of GRECO solves that is killed at random moments and resumed, compared with a run in one process.
-
-    python tests/helpers/killing.py 64 20      (64 runs, 20 kills)
-"""
-
-from __future__ import annotations
+"""A study of GRECO solves that is killed at random moments and resumed, compared with a run in one process."""
 
 import contextlib
 import os
@@ -38,11 +33,7 @@ study.run(workers=int(sys.argv[3]) or None, progress=False)
 
 
 def campaign(runs: int, kills: int, seed: int = 0, longest_s: float = 12.0) -> dict[str, object]:
-    """Kill main process, a worker, or all, in turn, at random moments; then finish, and compare with a serial run.
-
-    Returns ``kills`` by kind, ``done`` runs, ``different`` ones (bits of results and files), processes ``left``, and
-    ``most`` tries of a run.
-    """
+    """Kill main process, a worker, or all, in turn, at random moments; then finish, and compare with a serial run."""
     from adaptmg.study.store import Store
 
     chance = random.Random(seed)

@@ -1,10 +1,11 @@
 """Meshes and results made by hand, for tests of what only reads them. No NGSolve, no solver."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh import MeshArrays, structured
+from adaptmg.problem import Box, Rectangle
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.record import Status
@@ -13,37 +14,14 @@ from adaptmg.solver.result import Result
 
 def square(n: int, size: float = 0.04) -> MeshArrays:
     """n x n squares cut in two; boundaries bottom, right, top, left."""
-    node = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    y, x = np.mgrid[0:size:(n + 1) * 1j, 0:size:(n + 1) * 1j]
-    a, b, c, d = (part.ravel() for part in (node[:-1, :-1], node[:-1, 1:], node[1:, 1:], node[1:, :-1]))
-    elements = np.vstack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    sides = (node[0], node[:, -1], node[-1, ::-1], node[::-1, 0])
-    facets = np.vstack([np.stack([side[:-1], side[1:]], 1) for side in sides])
-    return MeshArrays(np.stack([x.ravel(), y.ravel()], 1), elements, facets, np.repeat(np.arange(4), n),
-                      ("bottom", "right", "top", "left"))
+    return replace(structured(Rectangle(width=size, height=size), n), source=None)
 
 
 def cube(n: int, size: float = 0.04) -> MeshArrays:
     """n x n x n cubes cut in six tetrahedra; boundaries bottom (z = 0) and rest."""
-    grid = np.stack(np.meshgrid(*3 * [np.linspace(0, size, n + 1)], indexing="ij"), -1).reshape(-1, 3)
-    corner = np.stack(np.meshgrid(*3 * [np.arange(n)], indexing="ij"), -1).reshape(-1, 3)
-
-    def number(ijk: np.ndarray) -> np.ndarray:
-        return (ijk[..., 0] * (n + 1) + ijk[..., 1]) * (n + 1) + ijk[..., 2]
-
-    parts = []
-    for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)):
-        steps = np.cumsum(np.vstack([np.zeros(3, int), np.eye(3, dtype=int)[list(order)]]), axis=0)
-        parts.append(number(corner[:, None] + steps))
-    elements = np.vstack(parts)
-    x = grid[elements]
-    turned = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
-    elements[turned] = elements[turned][:, [1, 0, 2, 3]]
-    faces = elements[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    facets = faces[first[count == 1]]
-    bottom = (grid[facets, 2] == 0).all(axis=1)
-    return MeshArrays(grid, elements, facets, np.where(bottom, 0, 1), ("bottom", "rest"))
+    mesh = structured(Box(width=size, depth=size, height=size), n)
+    return replace(mesh, facet_labels=np.where(mesh.facet_labels == mesh.boundaries.index("bottom"), 0, 1),
+                   boundaries=("bottom", "rest"), source=None)
 
 
 def result_on(mesh: MeshArrays | None, **changes: object) -> Result:

@@ -1,7 +1,5 @@
 """A result of two bodies made by hand. No NGSolve, no solver."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

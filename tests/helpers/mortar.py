@@ -1,7 +1,5 @@
 """The couplings of two surfaces, from arrays."""
 
-from __future__ import annotations
-
 from adaptmg.discrete.mortar import pairs, segments, triangles
 from adaptmg.discrete.mortar.interface import Surfaces
 

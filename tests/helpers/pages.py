@@ -1,7 +1,5 @@
 """A strict reader of HTML pages."""
 
-from __future__ import annotations
-
 import base64
 import re
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """The texts of a picture."""
 
-from __future__ import annotations
-
 import io
 import warnings
 

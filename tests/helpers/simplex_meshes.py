@@ -1,7 +1,5 @@
 """Meshes of the unit square and cube, the disk and two boxes, made without a mesh generator."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

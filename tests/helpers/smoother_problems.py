@@ -1,7 +1,5 @@
 """Small contact problems for the tests of the smoother, and a solver of them that shares nothing with it."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 
@@ -19,11 +17,7 @@ def spd(rng: np.random.Generator, n: int, condition: float = 30.0) -> np.ndarray
 
 
 def network(dim: int, law: str, seed: int = 0, *, fixed_tangent: bool = False) -> LocalProblem:
-    """A 4 x 4 grid of nodes joined by random elastic links; row 0 may touch, row 3 is fixed.
-
-    The normals are random; with ``fixed_tangent`` they are the first axis at the first contact node, whose last
-    component is fixed.
-    """
+    """A 4 x 4 grid of nodes joined by random elastic links; row 0 may touch, row 3 is fixed."""
     rng = np.random.default_rng(seed)
     n = 4
     number = np.arange(n * n).reshape(n, n)

@@ -1,7 +1,5 @@
 """Write ``adaptmg/__init__.pyi`` for type checkers and completion: ``python tests/helpers/stub.py``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import adaptmg

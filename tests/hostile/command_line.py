@@ -11,8 +11,7 @@ from unittest import mock
 
 from hostile_table import Hostile
 
-from adaptmg.cli import app
-from adaptmg.cli import solve_case as work
+from adaptmg.cli import case_run, main
 
 
 def command(*arguments: str, code: int = 2) -> None:
@@ -20,7 +19,7 @@ def command(*arguments: str, code: int = 2) -> None:
     out, err = io.StringIO(), io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.suppress(SystemExit):
         try:
-            app(list(arguments), prog_name="adaptmg")
+            main(arguments)
         except SystemExit as end:
             assert end.code == code, end.code
             raise
@@ -31,24 +30,13 @@ def command(*arguments: str, code: int = 2) -> None:
     raise ValueError(lines[-1])
 
 
-def usage(*arguments: str) -> None:
-    """Options that typer refuses itself, in a box."""
-    err = io.StringIO()
-    with contextlib.redirect_stderr(err):
-        try:
-            app(list(arguments), prog_name="adaptmg")
-        except SystemExit as end:
-            assert end.code == 2 and "Traceback" not in err.getvalue()
-    raise ValueError(err.getvalue())
-
-
 def during(error: BaseException, code: int = 2) -> Callable[[], None]:
     """The command where solving fails with ``error``."""
     def run() -> None:
         def failing(*arguments: object) -> None:
             raise error
 
-        with mock.patch.object(work, "solved", failing):
+        with mock.patch.object(case_run, "solved", failing):
             command("solve", "greco_bar", "--divisions", "2,4", code=code)
 
     return run
@@ -70,15 +58,18 @@ def _options():
     yield Hostile("fine to coarse", lambda: command("solve", "greco_bar", "--divisions=8,4"), "coarse to fine",
                   ValueError)
     for option, value in {"friction": "much", "law": "hooke", "pre": "1.5", "nothing": "1"}.items():
-        yield Hostile(f"--{option} {value}", lambda o=option, v=value: usage("solve", "greco_bar", f"--{o}", v),
+        yield Hostile(f"--{option} {value}", lambda o=option, v=value: command("solve", "greco_bar", f"--{o}", v),
                       option, ValueError)
+    for option, value in {"max-nodes": "0", "start": "-1", "theta": "2", "tolerance": "nan"}.items():
+        yield Hostile(f"adapt --{option}", lambda o=option, v=value: command("adapt", "upset_block", f"--{o}={v}"),
+                      option.replace("-", "_"), ValueError)
     for label, case in {"unknown": "greco_bax", "surrogate": "\udcff", "control": "a\x1b[31m"}.items():
         says = "did you mean 'greco_bar'" if label == "unknown" else "there is no case"
         yield Hostile(f"case {label}", lambda c=case: command("solve", c), says, ValueError)
     both = {"sizes and divisions": ("--sizes=1e-2", "--divisions=4", "--divisions"),
             "ratio alone": ("--contact-ratio=2", "--divisions=4", "--contact-ratio"),
             "ratio below one": ("--contact-ratio=0.5", "--sizes=1e-2", "ratio"),
-            "ratio huge": ("--contact-ratio=1e300", "--sizes=1e-2", "sizes"),
+            "ratio huge": ("--contact-ratio=1e300", "--sizes=1e-2", "--contact-ratio"),
             "useless option": ("--solver=active-set", "--omega=1", "--omega"),
             "law without friction": ("--law=coulomb", "--divisions=2", "--friction"),
             "two laws": ("--friction=1", "--limit=1", "belongs to --law tresca"),
@@ -86,7 +77,7 @@ def _options():
             "cycle of one grid": ("--solver=single-grid", "--cycle=W", "--shape has no meaning"),
             **{f"--set {text}": (f"--set={text}", "--divisions=2", says) for text, says in {
                 "yong=1": "did you mean 'young'", "young": "NAME=VALUE", "young=": "NAME=VALUE", "young=-1": "> 0",
-                "young=steel": "young must be a number", "friction=1": "an option of its own"}.items()}}
+                "young=steel": "young must be a number"}.items()}}
     for name, (first, second, says) in both.items():
         yield Hostile(name, lambda a=first, b=second: command("solve", "greco_bar", a, b), says, ValueError)
 

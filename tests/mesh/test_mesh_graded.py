@@ -137,24 +137,6 @@ def test_sized_catches_a_strong_field_at_a_corner():
     assert mesh.n_nodes < 2000
 
 
-def test_sized_in_3d():
-    mesh = sized(BOX, lambda x: 3e-3 + 0.5 * (x[:, 0] - BOX.lower[0]), 20e-3, rounds=1)
-    left, right = (np.median(edge_lengths(mesh, name)) for name in ("left", "right"))
-    assert 2e-3 < left < 4.5e-3 and right > 2.5 * left
-    assert mesh.volumes.sum() == pytest.approx(24e-6, rel=1e-12)
-
-
-@pytest.mark.parametrize(("arguments", "error", "message"), [
-    ((SQUARE, 1e-3, "bottm", 2), ValueError, "'bottm' does not exist; the boundaries are bottom, right, top, left"),
-    ((SQUARE, 1e-3, "bottom", 0.5), ValueError, "contact_ratio must be >= 1"),
-    ((SQUARE, 1e-3, (), 2), ValueError, "contact_boundaries is empty"),
-    ((SQUARE, 1e-3, "bottom", 2, 3), ValueError, "grading must be at most 1"),
-])
-def test_bad_input(arguments, error, message):
-    with pytest.raises(error, match=message):
-        graded(*arguments)
-
-
 def test_an_unknown_mesher_is_refused():
     with pytest.raises(ValueError, match="mesher must be one of 'bisection', 'netgen', got 'gmsh'"):
         graded(SQUARE, 1e-3, mesher="gmsh")

@@ -1,17 +1,13 @@
 """Meshes by sizes at points: sizes are followed, domains met, the same arguments give the same arrays."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
-from netgen.occ import Box as OccBox
-from netgen.occ import Compound, Pnt
 
 import adaptmg as am
 import adaptmg.mesh.resized as resized_module
-from adaptmg.mesh import check_mesh, graded, quality
+from adaptmg.mesh import check_mesh, quality
 from adaptmg.mesh.resized import PointSizes, resized
 
 PLATE = am.Rectangle(width=0.46, height=0.25, origin=(0.6, 0.2))
@@ -63,23 +59,6 @@ def test_nodes_lie_on_arcs():
     assert quality(mesh).min_angle > 20
 
 
-@pytest.mark.parametrize("refinements", [0, 1])
-@pytest.mark.parametrize("domain", [am.Box(width=0.04, depth=0.02, height=0.03),
-                                    am.Cylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=0.02, height=0.03)],
-                         ids=["box", "cylinder"])
-def test_solids(domain, refinements):
-    place = (0.0, 0.0, 0.0)
-    mesh = check_mesh(resized(domain, sizes_near(domain, place, 1.5e-3, 0.1, 14), refinements=refinements),
-                      domain.boundaries)
-    relative = relative_sizes(mesh, place, 1.5e-3, 0.1)
-    assert 0.8 < np.median(relative) < 1.2
-    assert np.quantile(relative, 0.01) > 0.5 and np.quantile(relative, 0.99) < 1.6
-    assert quality(mesh).min_angle > 10
-    if isinstance(domain, am.Cylinder):
-        radii = np.linalg.norm(mesh.points[mesh.boundary_nodes("side"), :2], axis=1)
-        np.testing.assert_allclose(radii, 0.02, rtol=1e-6)
-
-
 def test_bodies_have_their_own_sizes():
     left, right = am.Rectangle(width=1, height=1), am.Rectangle(width=1, height=1, origin=(1, 0))
     both = am.Assembly(parts={"left": left, "right": right})
@@ -90,19 +69,6 @@ def test_bodies_have_their_own_sizes():
     assert nodes[0] < 20 and nodes[1] > 100
     with pytest.raises(ValueError, match="sizes must name each body once"):
         resized(both, {"left": uniform["left"]})
-
-
-def test_solids_of_step_files_have_their_own_sizes(tmp_path):
-    path = tmp_path / "two.step"
-    Compound([OccBox(Pnt(0, 0, low), Pnt(20, 20, low + 10)) for low in (0, 10)]).WriteStep(str(path))
-    domain = am.StepFile(path)
-    lower, upper = graded(domain, 10e-3).bodies
-    mesh = check_mesh(resized(domain, {lower: PointSizes(np.zeros((1, 3)), [10e-3]),
-                                       upper: PointSizes(np.zeros((1, 3)), [2.5e-3])}, refinements=1))
-    assert mesh.bodies == (lower, upper)
-    assert mesh.volumes.sum() == pytest.approx(8e-6, rel=1e-9)
-    nodes = [len(np.unique(mesh.elements[mesh.element_body == k])) for k in range(2)]
-    assert nodes[1] > 5 * nodes[0]
 
 
 def test_where_netgen_fails_it_is_asked_again(monkeypatch):

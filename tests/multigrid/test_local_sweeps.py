@@ -1,13 +1,12 @@
 """Local sweeps near contact between bodies: exact residuals, falling energy, what is moved and what is not, work."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from bodies import corner_pushed
 from scipy import sparse
+from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.discrete.discretise import discretise
@@ -16,8 +15,8 @@ from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.smoother import kernels, node_solve
 from adaptmg.smoother.blocks import ZERO
-from adaptmg.smoother.system import local_system
 from adaptmg.transfer import without_fixed
 
 LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(2e6), "coulomb": am.Coulomb(0.4)}
@@ -134,28 +133,6 @@ def test_the_solution_stays(dim, law):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_many_sweeps_solve_the_problem_of_the_listed_nodes(dim):
-    at = Swept(dim, am.Frictionless(), amplitude=0.0)
-    # pressed down on one side, pulled up on the other
-    sides = np.where(at.mesh.points[at.contact.nodes, 0] < 0.5, 1e6, -1e6)
-    at.load.reshape(-1, dim)[at.contact.nodes, -1] = -sides
-    at.residual[:] = at.load - at.matrix @ at.u
-    for _ in range(4000):
-        at.sweep()
-    local = local_system(at.discrete)
-    inside = np.zeros(at.discrete.n_nodes, dtype=bool)
-    inside[at.interface.nodes] = True
-    touching = at.contact.values[::dim] == at.contact.gap
-    assert touching.any() and not touching.all()
-    # no forces but at closed nodes, there along the normal
-    left = at.residual.reshape(-1, dim)[inside & (at.contact.contact_of < 0)]
-    force = np.einsum("nij,nj->ni", local.frames, at.residual.reshape(-1, dim)[at.contact.nodes])
-    size = np.abs(at.load).max()
-    assert np.abs(left).max() <= 1e-8 * size and np.abs(force[:, 1:]).max() <= 1e-8 * size
-    assert np.abs(force[~touching]).max() <= 1e-8 * size and force[touching, 0].min() >= -1e-8 * size
-
-
-@pytest.mark.parametrize("dim", [2, 3])
 def test_a_master_before_open_slaves_is_moved_alone(dim):
     at = Swept(dim, am.Coulomb(0.4), amplitude=1e-3 * GAP)
     coupling, held = at.discrete.coupling, at.discrete.fixed.reshape(-1, dim)
@@ -228,3 +205,9 @@ def test_work_units_by_hand():
     assert with_sweeps.work_units - smoothings * (passes + share) == pytest.approx(0, abs=0.5 * smoothings + 1e-9)
     searches = 2 * (with_sweeps.work_units - smoothings * (1.0 + share))
     assert searches == pytest.approx(round(searches), abs=1e-9) and searches >= 0
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_sweeps_without_the_compiler(dim, monkeypatch):
+    uncompile(monkeypatch, node_solve, kernels, projected_sweeps)
+    test_sweeps(dim, "coulomb", 0.3 * GAP)

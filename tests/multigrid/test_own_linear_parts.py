@@ -1,7 +1,5 @@
 """User-defined coarse solves and smoothers of the truncated method: same solution, counted work."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse

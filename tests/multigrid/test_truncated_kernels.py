@@ -1,26 +1,23 @@
 """The parts of the truncated multigrid against dense algebra."""
 
-from __future__ import annotations
-
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import sparse
 from smoother_problems import expand, network
+from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.multigrid import half_sweeps as kernels
-from adaptmg.multigrid import projected_sweeps
-from adaptmg.multigrid.half_sweeps import add_prolonged, combine, restrict
+from adaptmg.multigrid import linear_cycle, projected_sweeps, split_matrix, truncated_contact, truncation
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact, count_cut
+from adaptmg.multigrid.truncated_step import Recombination, Ring
 from adaptmg.multigrid.truncation import Truncation
+from adaptmg.smoother import blocks, node_solve
+from adaptmg.smoother import kernels as smoothing
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.system import BACKWARDS, CLOSED, SLIPS
@@ -241,25 +238,20 @@ def test_transfers(dim):
     P = sparse.random_array((12, 5), density=0.4, rng=rng, format="csr")
     Q = expand(P, dim)
     r, coarse = rng.normal(size=12 * dim), np.empty(5 * dim)
-    assert restrict(ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
+    assert kernels.restrict(ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
     np.testing.assert_allclose(coarse, Q.T @ r)
-    u, first, second = rng.normal(size=(3, 12 * dim))
-    expected = u + 0.3 * (first - u) - 0.2 * (second - u) + Q @ coarse
-    combine(ZERO[dim], P.indptr, P.indices, P.data, coarse, u, first, second, 0.3, -0.2)
-    np.testing.assert_allclose(second, expected)
+    ring, alpha = Ring(12 * dim, 4), rng.normal(size=4)
+    ring.vectors[:] = rng.normal(size=(5, 12 * dim))
+    for _ in range(7):
+        u, places = ring.now.copy(), ring.places(3)
+        expected = u + Q @ coarse + sum(a * (v - u) for a, v in zip(alpha[:3], ring.past, strict=False))
+        kernels.combine(ZERO[dim], P.indptr, P.indices, P.data, coarse, ring.flat, places, alpha, ring.following)
+        ring.advance()
+        np.testing.assert_allclose(ring.now, expected)
+        np.testing.assert_array_equal(ring.past[0], u)
     expected = u + Q @ coarse
-    add_prolonged(ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
+    kernels.add_prolonged(ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
     np.testing.assert_allclose(u, expected)
-
-
-def test_galerkin_products():
-    rng = np.random.default_rng(0)
-    matrix = random_matrix(rng, 2)
-    P = sparse.csr_array(np.hstack([rng.random((9, 4)) * (rng.random((9, 4)) < 0.6) + np.eye(9, 4), np.zeros((9, 1))]))
-    product, Q = galerkin_product(matrix, P), np.kron(P.toarray(), np.eye(2))
-    # the last coarse node, which no fine one sees, has a diagonal of its own
-    np.testing.assert_allclose(product.toarray()[:8, :8], (Q.T @ matrix.toarray() @ Q)[:8, :8], atol=1e-12)
-    assert (product.diagonal() > 0).all()
 
 
 @pytest.mark.parametrize("limit", [0, 10_000], ids=["sparse", "dense"])
@@ -284,8 +276,25 @@ def test_nodes_that_a_recombination_would_cut(alpha, cut):
     u = np.array([-2.0, 0.0, 0.0, 0.5, 0.0, -0.1])
     first = u + np.array([2.0 / 0.9, 0.0, 0.0, -1.0, 5.0, -1.0])
     codes = np.array([0, CLOSED + SLIPS, CLOSED + BACKWARDS], dtype=np.int8)
-    found = count_cut(2, codes, nodes, frames, np.zeros(n), np.zeros(n), u.copy(), first, u, alpha, 0.0, u)
-    assert found == cut
+    places, weights = np.array([0, 6, 6, 0, 0]), np.array([3 * alpha, -2 * alpha, 1.0, 1.0])
+    ring = np.concatenate([u, first])
+    assert count_cut(2, codes, nodes, frames, np.zeros(n), np.zeros(n), u.copy(), ring, places, weights) == cut
+
+
+def test_weights_of_past_iterates_are_those_of_least_squares():
+    rng = np.random.default_rng(0)
+    recombination, inverse = Recombination(2, 40, 4), np.tile(np.diag([0.5, 2.0]).reshape(-1), 20)
+    recombination.residuals.vectors[:] = rng.normal(size=(5, 40))
+    for done in range(8):
+        now, past = recombination.residuals.now, recombination.residuals.past[:min(done, 4)]
+        weight = np.sqrt(np.tile([0.5, 2.0], 20))
+        columns = np.column_stack([weight * (r - now) for r in past] or [np.zeros(40)])
+        expected = np.linalg.lstsq(columns, -weight * now)[0]
+        np.testing.assert_allclose(recombination.fit(inverse)[:columns.shape[1]], expected, rtol=1e-9)
+        recombination.advance()
+    # one that depends on others has no weight
+    recombination.residuals.past[2][:] = recombination.residuals.past[0]
+    assert recombination.fit(inverse)[2] == 0 and recombination.fit(inverse).any()
 
 
 def test_one_node_is_cut_and_many_are_not():
@@ -298,14 +307,15 @@ def test_one_node_is_cut_and_many_are_not():
     for moved, admitted in ((0, True), (1, True), (2, False), (9, False)):
         other = u.copy()
         other[2 * problem.contact.nodes[:moved] + 1] = -2.0
-        assert contact.admits(u, other, u, (1.0, 0.0)) is admitted
+        places = len(u) * np.array([0, 1, 0, 0, 0])
+        assert contact.admits(np.concatenate([u, other]), places, np.array([1.0, 0, 0, 0])) is admitted
 
 
-@pytest.mark.slow
-def test_kernels_without_jit():
-    files = [Path(__file__).with_name(f"test_{name}.py") for name in ("truncated_kernels", "local_sweeps")]
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", "-k",
-         "truncated_kernels or test_sweeps and coulomb", *files],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout[-2000:]
+@pytest.mark.parametrize("dim", [2, 3])
+def test_kernels_without_the_compiler(dim, monkeypatch):
+    uncompile(monkeypatch, blocks, node_solve, smoothing, kernels, linear_cycle, projected_sweeps, split_matrix,
+              truncated_contact, truncation)
+    test_half_passes_are_gauss_seidel(dim)
+    test_projected_half_passes_are_the_smoother(dim, "coulomb")
+    test_truncated_coarse_matrices(dim, "coulomb", True, False)
+    test_transfers(dim)

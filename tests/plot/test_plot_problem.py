@@ -67,6 +67,12 @@ def test_the_legend_states_law_supports_loads_and_enlarged_gaps(posed, expected)
     assert ("gap drawn" in shown) == any("gap" in text for text in expected) or posed.axisymmetric
 
 
+def test_loads_that_are_zero_are_not_drawn():
+    figure = am.plot.problem(am.cases.greco_bar(top_pressure=0.0))
+    assert len(figure.axes[0].findobj(Quiver)[0].U) and "p = 0" not in words(figure)
+    assert "free: 'top'" in words(figure)
+
+
 def test_arrows_are_proportional_to_the_tractions_and_end_on_the_boundary():
     quivers = am.plot.problem(am.cases.greco_bar()).axes[0].findobj(Quiver)
     lengths = [np.hypot(q.U, q.V) for q in quivers]
@@ -96,6 +102,9 @@ def test_solids_are_drawn_on_a_mesh():
     assert all(text in shown for text in (
         "contact on 'upper.bottom'", "its master 'lower.bottom'", "p = 20 MPa on 'upper.rest'", "frictionless contact",
         "$u_z$ = 0 on 'lower.rest'", "initial strain in 'upper'\n$\\varepsilon_z$ = -0.001"))
+    # parts of arrows behind a body are pale
+    (surface,) = am.plot.problem(posed, mesh=two_bodies(3, 4, 3).mesh).findobj(Surface)
+    assert {line.hidden is None for line in surface.lines} == {True, False}
     with pytest.raises(ValueError, match="no domain"):
         am.plot.problem(posed)
     with pytest.raises(ValueError, match="does not exist"):

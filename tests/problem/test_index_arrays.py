@@ -1,7 +1,5 @@
 """Indices of sparse matrices are narrowed to 32 bits on all levels; nothing else changes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import sparse

@@ -1,7 +1,5 @@
 """Problems of single load steps, and supports that prescribe functions of position."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 
@@ -13,6 +11,7 @@ import adaptmg as am
 from adaptmg.discrete import discretise, fixed_dofs
 from adaptmg.discrete.load_steps import load_steps
 from adaptmg.discrete.loads import load_vector
+from adaptmg.discrete.stress import StressData
 from adaptmg.problem import step_problem
 
 
@@ -25,7 +24,7 @@ def loaded():
         material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Coulomb(0.3), domain=am.Rectangle(width=1, height=1),
         contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))),
         loads=(am.Pressure("right", bent), am.Traction("right", (3.0, 4.0)), am.BodyForce((0.0, -9.0)),
-               am.InitialStrain("body", (1e-4, bent))),
+               am.InitialStrain("body", (1e-4, bent)), am.BodyForce((1.0, 2.0), body="body")),
         supports=(am.Support("left", x=bent), am.Support("top", y=-2e-4)))
 
 
@@ -36,6 +35,10 @@ def test_steps_are_what_the_load_path_makes_of_the_problem():
     np.testing.assert_allclose(load_vector(mesh, step.loads, step.material), steps.load(factors), rtol=1e-12,
                                atol=1e-12 * np.abs(steps.load(factors)).max())
     np.testing.assert_allclose(fixed_dofs(mesh, step.supports)[1], steps.fixed_values(factors), rtol=1e-14)
+    # the strain of a body counts beside other loads of its name
+    strain = StressData.of(mesh, step.material, step.loads).initial_strain
+    np.testing.assert_allclose(steps.stress_data(factors).initial_strain, strain, rtol=1e-12)
+    assert np.abs(strain).max() > 0
     again = pickle.loads(pickle.dumps(step))
     np.testing.assert_array_equal(fixed_dofs(mesh, again.supports)[1], fixed_dofs(mesh, step.supports)[1])
     same = step_problem(problem, {})

@@ -1,7 +1,5 @@
 """What is posed is checked where it is made; the message says what is wrong."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

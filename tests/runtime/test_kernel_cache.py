@@ -85,3 +85,13 @@ def test_a_cache_that_cannot_be_written_is_left_out(package):
     said = run(full)
     assert "No space left on device" in said and "cannot be written" in said
     assert run() == ""
+
+
+def test_compiling_is_announced_once_on_a_terminal_else_in_the_log_and_not_for_kept_kernels(package):
+    folder, run = package
+    terminal = "import sys; sys.stderr.isatty = lambda: True\n"
+    assert run(terminal).startswith("adaptmg: compiling kernels (first use")
+    assert run(terminal) == ""
+    shutil.rmtree(folder / "__pycache__")
+    said = run("import logging; logging.basicConfig(format='%(message)s', level=logging.INFO)\n")
+    assert said.startswith("compiling kernels (first use") and said.count("\n") == 1

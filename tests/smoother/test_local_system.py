@@ -1,7 +1,5 @@
 """LocalSystem: the same problem in contact frames, fixed dofs eliminated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -106,11 +104,6 @@ class TestLocalProblem:
         assert system.nonzeros == len(system.indices) * dim * dim == problem.matrix.nnz
         np.testing.assert_array_equal(system.contact_of[system.nodes], np.arange(len(problem.contact)))
         assert np.count_nonzero(system.contact_of >= 0) == len(problem.contact)
-
-
-def test_plane_at_45_degrees():
-    half = np.sqrt(0.5)
-    np.testing.assert_allclose(local_system(PROBLEMS[0]).frames, np.tile([[half, -half], [half, half]], (5, 1, 1)))
 
 
 @pytest.mark.parametrize("axes", [[0], [1], [0, 1]])

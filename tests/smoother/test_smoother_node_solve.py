@@ -1,14 +1,12 @@
 """The node solve meets the contact conditions by every law: in convex problems they have one solution."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from smoother_problems import spd
 
-from adaptmg.smoother.node_solve import slip_3d, solve_2d, solve_3d
+from adaptmg.smoother.node_solve import _inside, slip_3d, solve_2d, solve_3d
 
 EXAMPLES = settings(max_examples=150, deadline=None)
 BOUNDS = {"frictionless": (0.0, 0.0), "tresca": (1.0, 0.0), "coulomb": (0.0, 1.0), "both": (1.0, 1.0)}
@@ -85,6 +83,24 @@ def test_decoupled_tangent_stays_and_reduces_to_2d(seed, law, second):
     assert w_3d[3 - kept[1]] == 0.0
     if friction * abs(block[0, 1]) < 0.99 * block[1, 1]:
         np.testing.assert_allclose(w_3d[kept], w, atol=1e-10 * (1 + np.abs(w).max()))
+
+
+@EXAMPLES
+@given(seeds, st.floats(0, 0.9))
+def test_a_gap_that_closes_by_rounding_changes_nothing(seed, share):
+    """Where the pressure comes out as zero or below."""
+    block, force, _, reference, limit, _ = problem(2, seed, "both", 0.0)
+    friction = share * block[1, 1] / abs(block[0, 1])
+    opened = solve(block, force, np.inf, reference, limit, friction)
+    closed = solve(block, force, np.nextafter(opened[0], -np.inf), reference, limit, friction)
+    np.testing.assert_allclose(closed, opened, atol=1e-9 * (1 + np.abs(opened).max()))
+
+
+@given(st.floats(1e-9, 1e9), st.floats(1e-9, 1e9), st.floats(1e-9, 1e9))
+def test_a_point_inside_a_bracket_of_any_extent(low, extent, stiffness):
+    inside = getattr(_inside, "py_func", _inside)
+    for bounds in ((low, low + max(extent, 1e-6 * low)), (0.0, extent), (low, np.inf), (0.0, np.inf)):
+        assert bounds[0] < inside(*bounds, stiffness) < bounds[1]
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 1e-1, 1.0, 10.0])

@@ -1,22 +1,25 @@
 """The smoother step and the natural residual on networks and meshes: 2D, 3D, one body, two bodies, axisymmetric."""
 
-from __future__ import annotations
-
-import logging
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 from smoother_problems import LAWS, dual_solution, network, tresca_energy
+from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.smoother import OPEN, SLIP, STICK, ProjectedGaussSeidel, compiling
+from adaptmg.smoother import (
+    OPEN,
+    SLIP,
+    STICK,
+    ProjectedGaussSeidel,
+    blocks,
+    gauss_seidel,
+    kernels,
+    node_solve,
+    residuals,
+)
 from adaptmg.smoother.residuals import contact_share, natural_residual, normal_force, residual, states
 from adaptmg.smoother.system import LocalProblem, local_system
 
@@ -213,31 +216,17 @@ def test_bad_arrays(changes, error, message):
         ProjectedGaussSeidel().smooth(problem.system, **given)
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing compiles")
-def test_the_notice_of_compiling_comes_once_and_not_for_cached_kernels(caplog, monkeypatch):
-    problem = network(2, "tresca")
-    residual(problem.system, problem.load, problem.load)
-    monkeypatch.setattr(compiling, "_announced", False)
-    monkeypatch.setattr(compiling, "_checked", set())
-    kernels = [numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 2)]
-    with caplog.at_level(logging.INFO, "adaptmg"):
-        residual(problem.system, problem.load, problem.load)
-        compiling.notice(len)
-        assert not caplog.records
-        compiling.notice(*kernels)
-        compiling.notice(*kernels)
-    assert [record.getMessage() for record in caplog.records] == ["compiling kernels (once per machine; cached)"]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="this is the run without the JIT")
-def test_kernels_without_the_jit():
+@every_network
+def test_kernels_without_the_compiler(dim, law, monkeypatch):
     """Out-of-bounds reads are silent in compiled code: here they raise."""
-    chosen = "optimality or block_sor or (jacobi and network) or orders or isotropy"
-    here = Path(__file__).parent
-    run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", chosen, here / "test_smoother_step.py",
-         here / "test_smoother_node_solve.py"],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stdout
-    assert " passed" in run.stdout and "skipped" not in run.stdout
+    problem = network(dim, law, seed=9)
+
+    def results():
+        w = random_start(problem, 9)
+        smooth(problem, w, 4, omega=1.2, order="symmetric", friction_update=2)
+        return w, natural_residual(problem.system, problem.contact, problem.load, w)
+
+    compiled = results()
+    uncompile(monkeypatch, blocks, gauss_seidel, kernels, node_solve, residuals)
+    for plain, expected in zip(results(), compiled, strict=True):
+        np.testing.assert_allclose(plain, expected, atol=1e-12)

@@ -1,7 +1,5 @@
 """The certificate: each line catches its fault, and the status needs it (what it may import: pyproject.toml)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -182,8 +180,7 @@ class TestFaultyClaims:
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("solver", [am.FullMultigrid(rtol=1e-3), am.FullMultigrid(rtol=1e-6), am.Multigrid(rtol=1e-5),
-                                    am.FullMultigrid(rtol=1e-4, correction=am.Monotone()),
+@pytest.mark.parametrize("solver", [am.FullMultigrid(rtol=1e-3), am.FullMultigrid(rtol=1e-6),
                                     am.SingleGrid(rtol=1e-3, omega=1.8)], ids=repr)
 def test_the_energy_error_is_estimated(solver, law, dim):
     discrete, u = grids(law, dim).finest.discrete, exact(law, dim).displacement
@@ -213,27 +210,10 @@ def test_an_energy_error_beyond_the_tolerance_takes_converged_back():
     assert not am.solve(grids(), Returns(smooth, rtol=0.1 * error), throw=False).status.ok
 
 
-def test_rigid_motion_in_supports_is_no_excuse():
-    """Errors count against the energy of the displacement, not against that of a jump at the support."""
-    problem = am.ContactProblem(
-        material=STEEL, domain=am.Rectangle(width=0.04, height=0.04),
-        contact=am.Contact("bottom", am.GapFunction(lambda x: np.full(len(x), 9.99e-3))), law=am.Coulomb(0.3),
-        supports=(am.Support("top", x=0.0, y=-0.01),))
-    hierarchy = am.Hierarchy.uniform(problem, (4, 8))
-    u = am.solve(hierarchy, am.ActiveSet(rtol=1e-12), throw=False).displacement
-    wrong = u.copy()
-    inner = ~hierarchy.finest.discrete.fixed.reshape(u.shape).any(axis=1)
-    inner[hierarchy.finest.discrete.contact.nodes] = False
-    wrong[inner, 0] += 1e-8
-    error = energy(hierarchy.finest.discrete, wrong - u) / energy(hierarchy.finest.discrete, u)
-    certificate = am.solve(hierarchy, Returns(wrong), throw=False).certificate()
-    assert error > 1e-4 and 0.5 * error < certificate.energy_error < 1.5 * error
-
-
 def test_it_is_printed_saved_and_computed_again(tmp_path):
     result = exact()
     assert f"worst {result.certificate().worst.name}" in repr(result)
-    text = repr(result.certificate())
+    text = str(result.certificate())
     assert all(line.name in text for line in result.certificate().lines) and "energy error" in text
     result.save(tmp_path / "run.npz")
     loaded = am.Result.load(tmp_path / "run.npz")
@@ -248,44 +228,30 @@ def test_it_is_printed_saved_and_computed_again(tmp_path):
         again["gap"]
 
 
-class TestFrictionAtSupports:
+def test_faults_of_friction_at_supports_are_caught():
     """Nodes that a support drives along the contact: friction acts there as everywhere."""
+    parts = {"pad": am.Rectangle(width=40e-3, height=20e-3),
+             "plate": am.Rectangle(width=80e-3, height=20e-3, origin=(-20e-3, -20e-3))}
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts), material=STEEL, law=am.Coulomb(0.4),
+        contact=am.ContactPair("pad.bottom", "plate.top"), loads=(am.Pressure("pad.top", 1e7),),
+        supports=(am.Support("pad.left", x=0.0), am.Support("pad.right", x=0.0),
+                  am.Support("plate.bottom", x=1e-3, y=0.0)))
+    hierarchy = am.Hierarchy.uniform(problem, [{"pad": (k, k // 2), "plate": (2 * k, k // 2)} for k in (4, 8)])
+    # 1 mm of slip against micrometres of strain: fewer digits
+    discrete, result = hierarchy.finest.discrete, am.solve(hierarchy, am.ActiveSet(rtol=1e-10))
+    contact = result.contact
+    assert not result.certificate().contradictions(1e-9)
+    held = discrete.fixed.reshape(result.displacement.shape)[contact.node].any(axis=1)
+    assert held.sum() == 2 and (contact.force_n[held] > 0).all()
 
-    def driven(self):
-        problem = am.ContactProblem(
-            domain=am.Rectangle(width=40e-3, height=20e-3), material=STEEL, law=am.Coulomb(0.4),
-            contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))), loads=(am.Pressure("top", 1e7),),
-            supports=(am.Support("left", x=1e-4), am.Support("right", x=1e-4)))
-        return am.Hierarchy.uniform(problem, ((4, 2), (8, 4)))
+    def found(**changes):
+        return certify(discrete, result.displacement, replace(contact, **changes)).contradictions(1e-6)
 
-    def between(self):
-        parts = {"pad": am.Rectangle(width=40e-3, height=20e-3),
-                 "plate": am.Rectangle(width=80e-3, height=20e-3, origin=(-20e-3, -20e-3))}
-        problem = am.ContactProblem(
-            domain=am.Assembly(parts=parts), material=STEEL, law=am.Coulomb(0.4),
-            contact=am.ContactPair("pad.bottom", "plate.top"), loads=(am.Pressure("pad.top", 1e7),),
-            supports=(am.Support("pad.left", x=0.0), am.Support("pad.right", x=0.0),
-                      am.Support("plate.bottom", x=1e-3, y=0.0)))
-        return am.Hierarchy.uniform(problem, [{"pad": (k, k // 2), "plate": (2 * k, k // 2)} for k in (4, 8)])
-
-    @pytest.mark.parametrize("make", ["driven", "between"])
-    def test_faults_there_are_caught(self, make):
-        hierarchy = getattr(self, make)()
-        # 1 mm of slip against micrometres of strain: fewer digits
-        discrete, result = hierarchy.finest.discrete, am.solve(hierarchy, am.ActiveSet(rtol=1e-10))
-        contact = result.contact
-        assert not result.certificate().contradictions(1e-9)
-        held = discrete.fixed.reshape(result.displacement.shape)[contact.node].any(axis=1)
-        assert held.sum() == 2 and (contact.force_n[held] > 0).all()
-
-        def found(**changes):
-            return certify(discrete, result.displacement, replace(contact, **changes)).contradictions(1e-6)
-
-        assert "slip direction" in found(force_t=contact.force_t * ~held[:, None])
-        assert "friction bound" in found(force_t=contact.force_t * (1 + held[:, None]))
-        assert found(state=np.where(held, am.STICK, contact.state)) == ("slip, sticking",)
-        if make == "between":
-            # the master must carry the friction of held nodes, too
-            share = np.zeros_like(contact.master_force)
-            share[np.argmax(np.abs(contact.master_force[:, 0])), 0] = 0.1 * np.abs(contact.master_force).max()
-            assert "equilibrium" in found(master_force=contact.master_force + share)
+    assert "slip direction" in found(force_t=contact.force_t * ~held[:, None])
+    assert "friction bound" in found(force_t=contact.force_t * (1 + held[:, None]))
+    assert found(state=np.where(held, am.STICK, contact.state)) == ("slip, sticking",)
+    # the master must carry the friction of held nodes, too
+    share = np.zeros_like(contact.master_force)
+    share[np.argmax(np.abs(contact.master_force[:, 0])), 0] = 0.1 * np.abs(contact.master_force).max()
+    assert "equilibrium" in found(master_force=contact.master_force + share)

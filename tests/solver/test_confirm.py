@@ -1,11 +1,9 @@
 """A method that thinks too well of its iterate is made to go on by the certificate."""
 
-from __future__ import annotations
-
 from functools import cache
 
-import numpy as np
 import pytest
+from norms import distance
 from study_scripts import load
 
 import adaptmg as am
@@ -16,13 +14,6 @@ from adaptmg.solver.truncated_iteration import TruncatedIteration
 slender = load("slender_bodies")
 
 RTOL = 1e-8
-
-
-def error_of(grids, result, exact):
-    """Relative, in the energy norm."""
-    discrete = grids.finest.discrete
-    error, u = (discrete.relative(v).reshape(-1) for v in (result.displacement - exact, exact))
-    return np.sqrt(error @ (discrete.matrix @ error) / (u @ (discrete.matrix @ u)))
 
 
 @pytest.mark.parametrize("solver", [am.SingleGrid(omega=1.8, rtol=RTOL), am.SingleGrid(condensed=True, rtol=RTOL),
@@ -38,7 +29,7 @@ def test_it_goes_on(solver, monkeypatch):
         monkeypatch.setattr(kind, "_estimate", lambda self, own=kind._estimate: 1e-3 * own(self))
     monkeypatch.setattr(IterateTest, "change", property(lambda self, own=IterateTest.change: 1e-3 * own.fget(self)))
     monkeypatch.setattr(StopTest, "RESIDUAL_FACTOR", 1e5)
-    assert error_of(grids, am.solve(grids, solver), exact.displacement) <= 3 * RTOL
+    assert distance(grids.finest.discrete, am.solve(grids, solver).displacement, exact.displacement) <= 3 * RTOL
 
 
 def test_an_estimate_that_the_certificate_refutes_is_not_told(monkeypatch):
@@ -66,7 +57,7 @@ def folded():
 def test_on_a_folded_body(solver):
     grids, exact = folded()
     result = am.solve(grids, solver)
-    true = error_of(grids, result, exact)
+    true = distance(grids.finest.discrete, result.displacement, exact)
     assert true <= 3 * solver.rtol
     assert 0.5 * true <= result.certificate().energy_error <= 1.5 * true
 
@@ -75,7 +66,7 @@ def test_contact_nodes_that_open_one_after_the_other():
     # Newton steps shrink while the contact zone does; the certificate, which holds the status, sees a twelfth of it
     grids, rtol = slender.random_slender(71012)[1], 5.5e-3
     exact, result = (am.solve(grids, am.ActiveSet(rtol=value)) for value in (1e-10, rtol))
-    assert error_of(grids, result, exact.displacement) <= 3 * rtol
+    assert distance(grids.finest.discrete, result.displacement, exact.displacement) <= 3 * rtol
 
 
 def test_a_patch_test_to_the_discretisation_error():
@@ -86,7 +77,7 @@ def test_a_patch_test_to_the_discretisation_error():
 
 
 @pytest.mark.parametrize("start", [am.FullMultigrid, am.Multigrid])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_gaps_of_thousands_of_displacements_do_not_stall(seed, start):
     certificate = am.solve(slender.random_gaps(seed)[1], start(rtol=1e-8)).certificate()
     # the product of rounding and the whole gap, over the work of contact, is 2e-8 to 1e-7

@@ -1,11 +1,10 @@
 """Errors and residuals with prescribed displacements: of deformation and forces, not of a nodal jump."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from norms import distance
 
 import adaptmg as am
 from adaptmg.smoother.system import local_system
@@ -49,17 +48,11 @@ def exact(grids):
     return am.solve(grids, am.ActiveSet(rtol=3e-11))
 
 
-def error(grids, result, exact):
-    matrix, u = grids.finest.discrete.matrix, exact.displacement.reshape(-1)
-    difference = result.displacement.reshape(-1) - u
-    return np.sqrt(difference @ (matrix @ difference) / (u @ (matrix @ u)))
-
-
 @pytest.mark.parametrize("rtol", [1e-3, 1e-8])
 @pytest.mark.parametrize("method", list(METHODS))
 def test_the_error_is_what_was_asked_for(grids, exact, method, rtol):
     result = am.solve(grids, replace(METHODS[method], rtol=rtol), reference=exact)
-    true = error(grids, result, exact)
+    true = distance(grids.finest.discrete, result.displacement, exact.displacement)
     assert true <= 3 * rtol
     if method != "single grid, condensed":  # its interior is recovered after the last check
         assert result.history["true_error"][-1] == pytest.approx(true, rel=1e-2, abs=1e-11)
@@ -95,10 +88,10 @@ def test_load_steps(grids, exact):
     """Half way down nothing touches; then the block is pressed."""
     apart, pressed = am.solve_path(grids, am.LoadPath({"top": [0.5, 1.0]}), am.FullMultigrid(rtol=1e-8))
     assert (apart.contact.state == am.OPEN).all()
-    assert error(grids, pressed, exact) <= 3e-8
+    assert distance(grids.finest.discrete, pressed.displacement, exact.displacement) <= 3e-8
 
 
-@pytest.mark.parametrize("method", ["truncated, nested", "monotone, nested", "single grid", "active set"])
+@pytest.mark.parametrize("method", ["truncated, nested", "monotone, nested", "active set"])
 def test_a_body_that_nothing_strains(method):
     """Lowered half way, all its forces are rounding, to which nothing can be related."""
     apart = am.Hierarchy.uniform(lowered(down=5e-3), divisions=(4, 8, 16))

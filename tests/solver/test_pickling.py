@@ -1,11 +1,8 @@
 """Results, meshes and exceptions go to other processes and come back: a pool must not hang on what a worker raises."""
 
-from __future__ import annotations
-
 import copy
 import multiprocessing
 import pickle
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -75,20 +72,13 @@ def test_a_copy_keeps_the_ngsolve_mesh_and_a_pickle_needs_none():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pool", ["multiprocessing", "concurrent.futures"])
-def test_a_pool_hands_back_results_and_exceptions(pool):
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(1) if pool == "multiprocessing" else ProcessPoolExecutor(1, mp_context=context) as workers:
-        def answer(function, argument):
-            # with a limit: a pool waits without end for what it cannot unpickle
-            if pool == "multiprocessing":
-                return workers.apply_async(function, (argument,)).get(100)
-            return workers.submit(function, argument).result(100)
-
-        assert same(answer(returns, 2), returns(2))
+def test_a_pool_hands_back_results_and_exceptions():
+    # with a limit: a pool waits without end for what it cannot unpickle
+    with multiprocessing.get_context("spawn").Pool(1) as workers:
+        assert same(workers.apply_async(returns, (2,)).get(100), returns(2))
         for kind in (NotConverged, StepNotConverged):
             with pytest.raises(kind, match="LIMIT") as caught:
-                answer(raises, kind.__name__)
+                workers.apply_async(raises, (kind.__name__,)).get(100)
             assert same(caught.value.result, unfinished())
 
 

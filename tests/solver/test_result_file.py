@@ -1,7 +1,5 @@
 """Files of results: what is saved comes back, whoever made it; what is damaged is in tests/hostile."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import fields, replace
 from types import MappingProxyType

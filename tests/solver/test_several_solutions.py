@@ -1,7 +1,5 @@
 """Coulomb friction without uniqueness: three exact equilibria of one load, and what is said of them."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

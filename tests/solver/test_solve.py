@@ -1,13 +1,15 @@
 """solve(): records, failure paths, user-defined parts; that all methods agree: tests/agreement."""
 
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from made import result_on
 
 import adaptmg as am
+from adaptmg._checks import VAST
 from adaptmg.solver.record import Outcome
+from adaptmg.solver.solve import displacement_argument
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +53,7 @@ def test_the_estimate_is_of_the_error_not_of_the_change(bar):
     grids, reference = bar
     result = am.solve(grids, am.SingleGrid(rtol=1e-5), reference=reference)
     assert result.history["true_error"][-1] < 2e-5
+    assert result.path == [(len(grids) - 1, "smooth", result.cycles)]
     paper = am.solve(grids, am.SingleGrid(rtol=1e-5, stop="change"), reference=reference, throw=False)
     assert paper.history["true_error"][-1] > 1e-4
     assert paper.status is am.Status.STALLED
@@ -65,6 +68,10 @@ def test_start(bar):
         am.solve(grids, am.Multigrid(), start=np.zeros((3, 2)))
     with pytest.raises(ValueError, match="finite"):
         am.solve(grids, am.Multigrid(), start=np.full(reference.displacement.shape, np.nan))
+    vast = np.full(reference.displacement.shape, VAST)
+    assert displacement_argument("start", vast, grids.finest.discrete).max() == VAST
+    with pytest.raises(ValueError, match=r"start must be at most 1e\+40 m, got 2e\+40"):
+        am.solve(grids, am.Multigrid(), start=2 * vast)
     with pytest.raises(ValueError, match="its own start"):
         am.solve(grids, am.FullMultigrid(), start=reference)
 
@@ -141,15 +148,6 @@ def test_no_error_estimate_is_better_than_the_certificate_and_nothing_solved_is_
         assert result.error_estimate >= result.checked.energy_error
 
 
-def test_large_friction_warns():
-    for friction, warns in ((1.0, False), (20.0, True)):
-        grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8))
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            am.solve(grids, am.SingleGrid(max_sweeps=10), throw=False)
-        assert any("may not be unique" in str(w.message) for w in caught) == warns
-
-
 def test_resultants_balance_the_loads(solved):
     for name in ("bar", "block"):
         grids, result = solved[name]
@@ -170,6 +168,14 @@ def test_resultants_balance_the_loads(solved):
         moment = np.sum(arm[:, 0] * load[:, 1] - arm[:, 1] * load[:, 0])
         total = sum(result.resultant(part, about).moment for part in ("contact", "right"))
         assert total == pytest.approx(-moment, rel=1e-8)
+
+
+def test_contact_without_names_has_a_resultant():
+    result = result_on(None)
+    assert result.contact.masters == ()
+    np.testing.assert_array_equal(result.resultant("contact").force, result.contact.force.sum(axis=0))
+    with pytest.raises(ValueError, match="boundary '' is not known"):
+        result.resultant("")
 
 
 @pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(0.3)])

@@ -1,14 +1,10 @@
 """Rigid-body statics: what contact can hold passes, what it cannot is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import sparse
 
 import adaptmg as am
@@ -92,21 +88,7 @@ def test_a_motion_that_nothing_holds_is_named(name):
         check_statics(problem)
 
 
-@settings(max_examples=25, deadline=None)
-@given(angle=st.floats(0.02, 1.2), friction=st.floats(0.02, 1.0))
-def test_block_on_an_incline(angle, friction):
-    """Stands iff tan(angle) <= friction, and it does not tip (4 wide, 1 high: it slides first)."""
-    if abs(np.tan(angle) - friction) < 1e-4:
-        return
-    problem = plate(law=am.Coulomb(friction), loads=weight(np.sin(angle), -np.cos(angle)))
-    if np.tan(angle) <= friction:
-        check_statics(problem)
-    else:
-        with pytest.raises(ValueError, match="nothing holds a translation along x:"):
-            check_statics(problem)
-
-
-@pytest.mark.parametrize("direction", np.linspace(0, np.pi / 2, 7))
+@pytest.mark.parametrize("direction", np.linspace(0, np.pi / 2, 4))
 @pytest.mark.parametrize("law", [am.Coulomb(0.5), am.Tresca(0.5)])
 def test_sliding_in_any_direction(direction, law):
     # the polygon with 16 sides is at most 1 / cos(pi / 16) = 1.02 too wide; weight 16 on 16 m2

@@ -1,9 +1,7 @@
 """WarmMultigrid: from a start that is nearly solved a cycle may do, and what it leaves is what it says."""
 
-from __future__ import annotations
-
-import numpy as np
 import pytest
+from norms import distance
 
 import adaptmg as am
 from adaptmg.solver.multigrid import WarmMultigrid
@@ -20,23 +18,17 @@ def near(request):
     return grids, exact, discrete.physical(grids.finest.prolongation @ grids[1].discrete.relative(below))
 
 
-def error(grids: am.Hierarchy, displacement: np.ndarray, exact: np.ndarray) -> float:
-    discrete = grids.finest.discrete
-    left, size = (discrete.relative(u).reshape(-1) for u in (displacement - exact, exact))
-    return float(np.sqrt(left @ (discrete.matrix @ left)) / np.sqrt(size @ (discrete.matrix @ size)))
-
-
-@pytest.mark.parametrize("rtol", [3e-2, 1e-2, 1e-3, 1e-6])
+@pytest.mark.parametrize("rtol", [1e-2, 1e-6])
 def test_it_leaves_no_larger_error_than_it_says(near, rtol):
     grids, exact, start = near
     result = am.solve(grids, WarmMultigrid(rtol=rtol), start=start)
     assert result.status.ok and result.rtol == rtol
-    assert error(grids, result.displacement, exact) <= 2.5 * rtol
+    assert distance(grids.finest.discrete, result.displacement, exact) <= 2.5 * rtol
 
 
 def test_one_cycle_may_do(near):
     grids, exact, start = near
-    first = error(grids, start, exact)
+    first = distance(grids.finest.discrete, start, exact)
     result = am.solve(grids, WarmMultigrid(rtol=min(0.5 * first, 0.5), first_rate=0.3), start=start)
     assert result.cycles == 1
     # the cold start takes safe cycles, and assumes no rate
@@ -49,7 +41,7 @@ def test_one_cycle_may_do(near):
 def test_a_start_that_is_wrong_is_solved_all_the_same(near):
     grids, exact, start = near
     result = am.solve(grids, WarmMultigrid(rtol=1e-6), start=-start)
-    assert error(grids, result.displacement, exact) <= 2.5e-6
+    assert distance(grids.finest.discrete, result.displacement, exact) <= 2.5e-6
 
 
 def test_it_needs_a_start_and_a_rate():

@@ -291,20 +291,6 @@ def address(tmp_path_factory):
             yield found
 
 
-def test_runs_and_limits(address, tmp_path):
-    def run(n):
-        if n == 5:
-            time.sleep(600)
-        time.sleep(0.05)
-        return {"m": n * n}
-
-    study = Study(run, {"n": range(12)}, tmp_path / "s.sqlite")
-    study.run(progress=False, scheduler=address, limit_s=3)
-    table = study.table(details=True)
-    assert table["status"].tolist() == ["done"] * 5 + ["failed"] + ["done"] * 6
-    assert table["error"][5] == "TimeLimit: stopped after limit_s=3 s" and table["tries"][5] == 1
-
-
 def test_a_run_that_ends_its_worker(address):
     def run(n):
         if n == 1:
@@ -394,11 +380,9 @@ class _Processes:
 @pytest.mark.parametrize("fails", [False, True])
 @pytest.mark.parametrize("signals", [False, True])
 def test_a_start_that_fails_or_is_interrupted_leaves_nothing(fails, signals, monkeypatch):
-    from adaptmg.study import processes
-
     started, heard = _Processes(fails, signals), signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(processes, "LocalCluster", started)
-    monkeypatch.setattr(processes, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
+    monkeypatch.setattr(executor, "LocalCluster", started)
+    monkeypatch.setattr(executor, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
     signal.signal(signal.SIGINT, signal.default_int_handler)  # in a shell's background it comes ignored
     try:
         with pytest.raises(KeyboardInterrupt) if signals else pytest.raises(OSError, match="fewer workers") if fails \

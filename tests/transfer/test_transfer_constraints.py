@@ -64,19 +64,6 @@ def test_monotone_guarantee(seed, dim, one_way):
     assert (opening - P @ at_bound).min() >= -1e-14
 
 
-def test_the_other_choices_guarantee_nothing():
-    """The inequalities fail for the paper's choices: the test above can fail."""
-    opening = np.array([0.0, 0, 1, 1, 1])
-    for choice in (largest_gap, injected_gap):
-        assert (opening - P_LINE[:, :3] @ choice(LINE, opening)[:3]).min() < 0
-    slip = np.array([[1.0], [-1], [1], [1], [1]])
-    limit, correction = np.array([0.0, 1, 0, 0, 0]), np.array([[-0.5], [-0.5], [0], [0]])
-    coarse = friction_change(summed_limit(LINE, limit), injected_slip(LINE, slip), correction)
-    assert friction_change(limit, slip, P_LINE @ correction) > coarse
-    safe = friction_change(summed_limit(LINE, limit), minmod_slip(LINE, slip), correction)
-    assert friction_change(limit, slip, P_LINE @ correction) <= safe
-
-
 def test_gaps_by_hand():
     opening = np.array([3.0, 1, 5, 2, 7])
     np.testing.assert_array_equal(smallest_gap(LINE, opening), [1, 1, 2, np.inf])

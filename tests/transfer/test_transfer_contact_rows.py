@@ -66,21 +66,6 @@ def test_on_a_curved_face_no_facet_is_nearer():
     samples = np.einsum("wk,fkd->fwd", weights, coarse.points[facets]).reshape(-1, 3)
     sampled = np.linalg.norm(samples[None] - fine.points[nodes][:, None], axis=2).min(axis=1)
     assert (distance <= sampled + 1e-12).all()
-    finer, finer_facets = bulged(8)
-    closer = surface_interpolation(finer, fine, finer_facets, nodes)
-    assert np.linalg.norm(closer @ finer.points - fine.points[nodes], axis=1).max() < 0.35 * distance.max()
-
-
-def test_rows_are_replaced_and_others_kept():
-    coarse, fine = disk(3), disk(7)
-    nodes = np.unique(fine.facets)[::-1]
-    P = Interpolation().build(coarse, fine)
-    rows = surface_interpolation(coarse, fine, coarse.facets, nodes)
-    changed = with_contact_rows(P, nodes, rows)
-    assert changed.format == "csr"
-    np.testing.assert_array_equal(changed[nodes].toarray(), rows.toarray())
-    others = np.setdiff1d(np.arange(fine.n_nodes), nodes)
-    np.testing.assert_array_equal(changed[others].toarray(), P[others].toarray())
 
 
 def test_failures_name_the_argument():

@@ -49,6 +49,13 @@ def bisect(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> t
     ------
     TypeError, ValueError
         If ``marked`` is not a mask over the elements, or marks none; if ``passes`` is not an integer >= 1.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> fine, parents = am.mesh.bisect(mesh, np.arange(len(mesh.elements)) < 2)
+    >>> fine.n_nodes > mesh.n_nodes
+    True
     """
     marked = check_marked(check_mesh(mesh), marked)
     if not marked.any():
@@ -95,6 +102,12 @@ def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int =
     Notes
     -----
     Elsewhere the mesh stays what it was: so does its part of the discretisation error.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> len(am.mesh.refine_near(mesh, "bottom", levels=2))
+    3
     """
     levels = checks.integer("levels", levels, 1)
     names = (boundaries,) if isinstance(boundaries, str) else checks.strings("boundaries", boundaries)

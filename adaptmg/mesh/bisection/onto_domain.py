@@ -5,9 +5,9 @@ that halve edges of moved nodes follow. The moved mesh is not nested in the mesh
 
 An arc moves the midpoint of two nodes along its radius, as cylinders and balls do. In a turned profile the midpoint
 keeps its angle about the axis and gets the radius and height of the profile, in an extruded one it keeps its height. Of
-several edges of one name that is taken which both nodes lie on and which faces as the boundary does there. Combined
-solids (:class:`~adaptmg.problem.solid_domains.Cut`, ``Fuse``, ``Common``) and STEP files do not say which surface a
-face lies on: their midpoints stay on the chord.
+several edges of one name that is taken which both nodes lie on and which faces as the boundary does there. Plane
+domains combined are outlines; combined solids (:class:`~adaptmg.problem.solid_domains.Cut`, ``Fuse``, ``Common``) and
+STEP files do not say which surface a face lies on: their midpoints stay on the chord.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, sound_by_construction
 from adaptmg.mesh.bisection.tables import with_refinement
-from adaptmg.mesh.domains import distance_to_segments
+from adaptmg.mesh.domains import in_edges
 from adaptmg.mesh.soundness import check_mesh
-from adaptmg.problem.plane_domains import Domain, Outline
+from adaptmg.problem.plane_domains import Domain, Outline, distance_to_segments
 from adaptmg.problem.solid_domains import Assembly, Ball, Cylinder, Extrusion, Moved, Revolution
 
 __all__ = ["curved_boundaries", "on_surface", "onto_domain"]
@@ -37,8 +37,9 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     Parameters
     ----------
     domain : Domain or None
-        What the mesh is a mesh of. Known are the arcs of an Outline (also as an axisymmetric profile), the round faces
-        of Cylinder, Ball, Revolution, Extrusion, these Moved, and assemblies of them. Nodes of combined solids (Cut,
+        What the mesh is a mesh of. Known are the arcs of an Outline (also as an axisymmetric profile), a Circle and
+        plane domains combined, the round faces of Cylinder, Ball, Revolution, Extrusion, these Moved, and assemblies
+        of them. Nodes of combined solids (Cut,
         Fuse, Common) and of STEP files stay where they are, on the chord of their parents; so do all if it is None.
     mesh : MeshArrays
         From :func:`adaptmg.mesh.bisect`; not changed.
@@ -145,7 +146,10 @@ def curved_boundaries(domain: Domain | None) -> dict[str, tuple[Domain, str]]:
     if isinstance(domain, Assembly):
         return {f"{body}.{name}": found for body, part in domain.parts.items()
                 for name, found in curved_boundaries(part).items()}
-    return {} if domain is None else {name: (domain, name) for name in _curved(domain)}
+    if domain is None:
+        return {}
+    domain = in_edges(domain)
+    return {name: (domain, name) for name in _curved(domain)}
 
 
 def _curved(domain: Domain) -> tuple[str, ...]:
@@ -227,7 +231,7 @@ def _on_outline(outline: Outline, name: str, a: np.ndarray, b: np.ndarray, norma
     for i in (i for i, own in enumerate(outline.boundaries) if own == name):
         arc = outline.arc(i)
         if arc is None:
-            first, edge = vertices[i], vertices[(i + 1) % len(vertices)] - vertices[i]
+            first, edge = vertices[i], vertices[outline.following[i]] - vertices[i]
             away = np.maximum(*(distance_to_segments(x, first, first + edge) for x in (a, b)))
             facing = normals @ np.array([edge[1], -edge[0]])
             place = middle

@@ -1,7 +1,5 @@
 """Goals: signed estimates against true errors, what quantities are, what marks bring, and what is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache
 from types import SimpleNamespace
@@ -11,7 +9,6 @@ import pytest
 
 import adaptmg as am
 from adaptmg.estimate.goal_view import Functional
-from adaptmg.mesh import graded
 
 REFERENCE = am.cases.greco_bar().reference
 POINTS = np.array(list(REFERENCE["points"].values()))
@@ -38,21 +35,7 @@ def glued(a=1.0):
         supports=(am.Support("left", x=0.0), am.Support("right", x=0.0)))
 
 
-GLUED = (am.Displacement((0.3, 0.6), "y"), am.Displacement((0.3, 1.0), "x"), am.MeanDisplacement("left", "y"))
-
-
-@pytest.mark.parametrize("made", [{"divisions": (16,)}, {"sizes": (0.05,)}], ids=["uniform", "Netgen"])
-def test_a_linear_smooth_problem_has_an_effectivity_near_one(made):
-    (hierarchy, result), fine = solved(glued(), **made), solved(glued(), divisions=(64,))
-    assert (result.contact.state == am.STICK).all()
-    for item in GLUED:
-        exact = am.Goal(item).indicate(*fine).corrected[0]
-        estimate = am.Goal(item).indicate(hierarchy, result)
-        assert 0.9 < estimate.signed / (exact - estimate.value) < 1.05
-
-
-@pytest.mark.parametrize("divisions", [16, 32])
-def test_points_of_the_bar_have_their_converged_values(divisions):
+def test_points_of_the_bar_have_their_converged_values(divisions=16):
     estimate = am.Goal(LINE).indicate(*bar(divisions))
     errors = CONVERGED - estimate.values
     effectivity = estimate.errors / errors
@@ -69,26 +52,6 @@ def test_points_of_the_bar_have_their_converged_values(divisions):
     assert np.abs(found.algebraic).max() < 0.5 * np.abs(found.errors).max()
 
 
-def test_a_pair_with_a_singular_corner_is_underestimated_alike_on_all_meshes():
-    # lift of the dovetail's tongue; 90.67 um is the limit of adaptive loops (90.50, and .14 estimated, on 8900 nodes)
-    problem, found = am.cases.dovetail(), []
-    for sizes in ((8e-3, 4e-3), (8e-3, 4e-3, 2e-3)):
-        estimate = am.Goal(am.Displacement((0.0, 24e-3), "y", "tongue" if "tongue" in problem.bodies else None)
-                           ).indicate(*solved(problem, sizes=sizes, contact_ratio=2))
-        found.append(estimate.signed / (90.67e-6 - estimate.value))
-    # measured .68 and .72
-    assert min(found) > 0.65 and max(found) < 0.8
-
-
-def test_in_space_the_estimate_follows_the_error():
-    problem = am.cases.greco_block()
-    coarse, fine = (am.Goal(am.Displacement((0.0, 0.0, 0.0), "x")).indicate(*solved(problem, divisions=(n,)))
-                    for n in (4, 8))
-    assert coarse.value < fine.value and coarse.signed > fine.signed > 0
-    # 28.62 um: value and estimated error of adaptive loops; .66 and .49
-    assert 0.4 < fine.signed / (28.62e-6 - fine.value) < coarse.signed / (28.62e-6 - coarse.value) < 0.8
-
-
 def test_the_axisymmetric_and_the_energy_estimate():
     hierarchy, result = solved(am.cases.bolted_junction(), sizes=(8e-3,))
     name = hierarchy.problem.contact_boundaries[0]
@@ -97,8 +60,6 @@ def test_the_axisymmetric_and_the_energy_estimate():
     assert estimate.values[2] == pytest.approx(mean_by_simpson(result.mesh, name, result.displacement[:, 1]))
     other = am.Recovery().indicate(hierarchy, result).relative
     assert 0.5 < estimate.discretisation / other < 2.0
-    assert am.Goal(LINE).indicate(*bar(32)).discretisation == pytest.approx(
-        am.Recovery().indicate(*bar(32)).relative, rel=0.3)
 
 
 def test_quantities_are_those_of_the_result():
@@ -166,22 +127,7 @@ def test_what_has_no_meaning_is_refused():
             am.Goal(quantity).indicate(*on)
 
 
-def test_new_meshes_reach_the_accuracy_of_five_times_as_many_uniform_nodes():
-    # uniform meshes take about 5900 nodes to .05 % at all five points; the residual indicator 1000
-    problem, goal, engine = am.cases.greco_bar(), am.Goal(LINE), am.Remesh(growth=2.2, refinements=0)
-    mesh = graded(problem.domain, 9e-3)
-    while True:
-        hierarchy = am.Hierarchy.from_meshes(problem, [mesh])
-        result = am.solve(hierarchy, am.ActiveSet())
-        if mesh.n_nodes > 500:
-            break
-        mesh = engine.refine(problem, mesh, goal.indicate(hierarchy, result))
-    assert mesh.n_nodes < 1200
-    assert np.abs(result.probe(POINTS)[:, 0] / CONVERGED - 1).max() < 5e-4
-
-
-@pytest.mark.parametrize("make", [am.cases.greco_bar, lambda: am.cases.greco_bar(law=am.Tresca(3e7)),
-                                  am.cases.greco_block, am.cases.dovetail])
+@pytest.mark.parametrize("make", [am.cases.greco_bar, am.cases.greco_block, am.cases.dovetail])
 def test_what_the_solver_leaves_counts(make):
     problem = make()
     hierarchy = am.Hierarchy.graded(problem, (8e-3, 4e-3) if problem.dim == 2 else (15e-3,))
@@ -232,8 +178,7 @@ def valley():
 
 @pytest.mark.parametrize(("problem", "point", "sizes"), [
     (disc(am.PlaneStrain), None, (8e-3, 1e-3)), (disc(am.Axisymmetric), None, (8e-3, 1e-3)),
-    (valley(), None, (2e-3, 5e-4)), (valley(), (0.037, 0.0), (2e-3, 5e-4))],
-                         ids=["plane", "axisymmetric", "gap function", "point"])
+    (valley(), (0.037, 0.0), (2e-3, 5e-4))], ids=["plane", "axisymmetric", "point before a gap function"])
 def test_openings_of_curved_boundaries_contain_what_chords_change(problem, point, sizes):
     goal = am.Goal(am.Opening(problem.contact[0].boundary, point=point))
     coarse, fine = (am.Hierarchy.graded(problem, (size,)) for size in sizes)

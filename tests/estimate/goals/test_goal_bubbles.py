@@ -1,7 +1,5 @@
 """Edge bubbles: their stiffness, the actions of fields on them and the work of loads, against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from simplex_meshes import random_box

@@ -1,7 +1,5 @@
 """Signed goal estimates against scikit-fem: P2 is P1 and its edge bubbles, so matrices and residuals are its own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

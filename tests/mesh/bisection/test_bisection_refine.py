@@ -1,23 +1,21 @@
 """Bisection: conforming from any mesh, bounded shapes at any depth, labels and bodies follow, with the JIT off too."""
 
-import os
 import pickle
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from bisected_meshes import SQUARE, crooked, cube, random_mask, shape_classes, single, verified
+from bisected_meshes import SQUARE, containing_elements, crooked, cube, random_mask, shape_classes, single, verified
+from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.mesh import MeshArrays, bisect, check_mesh, quality, refine_near, structured
+from adaptmg.mesh import bisect, quality, refine_near, structured
+from adaptmg.mesh.bisection import children, refine, tables
+from adaptmg.mesh.bisection import coarsen as coarsening
 from adaptmg.mesh.bisection.refine import bisected, refined
 from adaptmg.mesh.bisection.tables import cells_of, nodes_of, tree_of
-from adaptmg.problem import Box, Outline, Rectangle
+from adaptmg.problem import Box, Rectangle
 
-HELPERS = Path(__file__).parents[2] / "helpers"
 MESHES = {"2D": SQUARE, "2D crooked": crooked(SQUARE), "3D": cube(), "3D crooked": crooked(cube(3))}
 
 
@@ -58,24 +56,6 @@ def test_a_tetrahedron_has_a_bounded_number_of_shapes(seed):
     assert len(mesh.elements) >= 2**12
     # none is new after eight bisections: Arnold, Mukherjee and Pouly, theorem 3.2 with its remark
     assert max(classes) <= 72 and worst[-1] <= max(worst[:8]) * (1 + 1e-9)
-
-
-def test_all_kinds_of_marked_tetrahedra_are_met():
-    marks = {int(cells_of(single(np.random.default_rng(seed).random((4, 3))))[0, 8]) for seed in range(60)}
-    # codes of both faces: plane 00 11, adjacent 01 10, opposite 22, mixed 02 20 12 21
-    assert marks == {0, 4, 1, 3, 8, 2, 6, 5, 7}
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_shapes_at_a_corner_far_down(dim):
-    mesh = crooked(SQUARE if dim == 2 else cube(2))
-    worst = []
-    for _ in range(24 if dim == 2 else 30):
-        at_corner = (mesh.elements == 0).any(axis=1)
-        mesh, _ = bisect(mesh, at_corner, passes=1)
-        worst.append(quality(mesh).aspect_ratio)
-    assert mesh.element_sizes.min() < 1e-3 and verified(mesh)
-    assert worst[-1] <= max(worst[:12]) * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
@@ -122,30 +102,11 @@ def test_the_history_is_frozen_and_not_kept_with_other_arrays():
     assert SQUARE.refinement is None and replace(fine, source=None).refinement is None
 
 
-def test_a_graded_mesh_is_an_initial_one_that_keeps_its_labels():
-    ring = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("a", "out", "b", "in"),
-                   arcs={1: (0, 0), 3: (0, 0)})
-    mesh = am.mesh.graded(ring, 0.3, "in", 100)
-    assert len(mesh.refinement.tree) == 0 and (mesh.refinement.generation == 0).all()
-    assert am.mesh.coarsen(mesh, np.ones(len(mesh.elements), dtype=bool)) is mesh
-
-
 def as_arrays(mesh):
     return mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.element_body
 
 
-SCRIPT = """
-import sys
-sys.path[:0] = sys.argv[1:3]
-from test_bisection_refine import results
-import numpy as np
-assert "ngsolve" not in sys.modules and "netgen" not in sys.modules
-np.savez(sys.argv[3], **results())
-"""
-
-
 def results():
-    """Every kernel on small input."""
     found = {}
     for name, mesh in (("2D", crooked(SQUARE)), ("3D", crooked(cube(2)))):
         fine = mesh
@@ -159,14 +120,11 @@ def results():
     return found
 
 
-def test_without_jit_and_without_ngsolve(tmp_path):
-    path = tmp_path / "results.npz"
-    subprocess.run([sys.executable, "-W", "error::RuntimeWarning", "-c", SCRIPT, Path(__file__).parent, HELPERS, path],
-                   env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, check=True)
-    compiled, plain = results(), np.load(path)
-    assert set(compiled) == set(plain)
-    for key, value in compiled.items():
-        np.testing.assert_array_equal(plain[key], value, err_msg=key)
+def test_kernels_without_the_compiler(monkeypatch):
+    compiled = results()
+    uncompile(monkeypatch, refine, children, tables, coarsening)
+    for key, value in results().items():
+        np.testing.assert_array_equal(value, compiled[key], err_msg=key)
 
 
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
@@ -186,42 +144,8 @@ def test_tables_that_grow_hold_the_same_as_those_with_room(mesh, every_edge):
         np.testing.assert_array_equal(tight, roomy)
 
 
-def test_a_flat_box_and_a_needle_end():
-    for domain in (Box(width=1, depth=1, height=1e-3), Box(width=1, depth=1e-3, height=1e-3)):
-        mesh = structured(domain, 1)
-        for _ in range(3):
-            mesh, _ = bisect(mesh, (mesh.elements == 0).any(axis=1))
-        verified(mesh)
-
-
 FINE_SQUARE = structured(Rectangle(width=1, height=1), 4)
 CUBE = structured(Box(width=1, depth=1, height=1), 2)
-EITHER = pytest.mark.parametrize("mesh", [FINE_SQUARE, CUBE], ids=["2D", "3D"])
-
-
-def containing_elements(coarse: MeshArrays, fine: MeshArrays) -> np.ndarray:
-    """The coarse element that holds each fine one, -1 where there is none."""
-    found = np.full(len(fine.elements), -1)
-    for e, corners in enumerate(coarse.points[coarse.elements]):
-        weights = np.linalg.solve((corners[1:] - corners[0]).T, (fine.points - corners[0]).T)
-        weights = np.vstack([1 - weights.sum(axis=0), weights])
-        found[(weights.min(axis=0) > -1e-12)[fine.elements].all(axis=1)] = e
-    return found
-
-
-@EITHER
-def test_bisection_is_nested_and_halves_the_marked(mesh):
-    marked = np.arange(len(mesh.elements)) % 7 == 0
-    fine, parents = bisect(mesh, marked)
-    check_mesh(fine, mesh.boundaries)
-    holder = containing_elements(mesh, fine)
-    assert (holder >= 0).all()
-    children = np.bincount(holder, minlength=len(mesh.elements))
-    assert (children[marked] >= 2**mesh.dim).all() and (children >= 1).all()
-    old, new = np.arange(mesh.n_nodes), np.arange(mesh.n_nodes, fine.n_nodes)
-    np.testing.assert_array_equal(fine.points[old], mesh.points)
-    np.testing.assert_array_equal(parents[old], np.stack([old, old], axis=1))
-    assert len(new) and (parents[new] < new[:, None]).all() and (parents[new, 0] != parents[new, 1]).all()
 
 
 def test_the_source_follows_and_the_old_one_stays():

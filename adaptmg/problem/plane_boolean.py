@@ -1,0 +1,171 @@
+"""combined: difference, union and intersection of two plane outlines of straight edges and circular arcs.
+
+Edges are cut where those of the other outline meet them. A piece stays by the side of the other outline that it lies
+on: outside of it in a union, inside in an intersection; in a difference pieces of b inside of a stay, turned round.
+Where pieces of both coincide, one stays if the bodies lie on the same side of it (in a difference: on either side).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import chain, pairwise
+
+import numpy as np
+
+from adaptmg.problem.plane_domains import Arc, Outline, Segment
+
+__all__ = ["combined"]
+
+_ROUND = 1e-12  # of the extent: points nearer to each other are one
+_PARALLEL = 1e-12
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A part of an edge between two numbered points."""
+
+    start: int
+    end: int
+    name: str
+    centre: tuple[float, float] | None
+    middle: np.ndarray
+
+    @property
+    def turned(self) -> _Piece:
+        return _Piece(self.end, self.start, self.name, self.centre, self.middle)
+
+
+def combined(what: str, a: Outline, b: Outline) -> Outline:
+    """The outline of "Cut", "Fuse" or "Common" of two outlines; ValueError unless it is one piece."""
+    tol = _ROUND * float(max(np.ptp(outline.vertices, axis=0).max() for outline in (a, b)))
+    points: list[np.ndarray] = []
+    edges = [[outline.edge(i) for i in range(len(outline.vertices))] for outline in (a, b)]
+    meetings = [[_meetings(e, f, tol) for f in edges[1]] for e in edges[0]]
+    of_a = _pieces(a, edges[0], [list(chain(*row)) for row in meetings], points, tol)
+    of_b = _pieces(b, edges[1], [list(chain(*column)) for column in zip(*meetings, strict=True)], points, tol)
+    kept = []
+    for piece in of_a:
+        twins = [other for other in of_b if {piece.start, piece.end} == {other.start, other.end}
+                 and np.linalg.norm(piece.middle - other.middle) <= 10 * tol]
+        if twins:
+            if (twins[0].start == piece.start) != (what == "Cut"):
+                kept.append(piece)
+        elif (_winding(b, piece.middle) == 1) == (what == "Common"):
+            kept.append(piece)
+        of_b = [other for other in of_b if other not in twins]
+    for piece in of_b:
+        if (_winding(a, piece.middle) == 1) == (what != "Fuse"):
+            kept.append(piece.turned if what == "Cut" else piece)
+    return _chained(what, kept, points)
+
+
+def _meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]:
+    """Points where two edges cross or touch, and the ends of one that lie on the other."""
+    found = [*e.at(np.array([0.0, 1.0])), *f.at(np.array([0.0, 1.0]))]
+    if isinstance(e, Arc) and isinstance(f, Arc):
+        found += _circles(e, f, tol)
+    elif isinstance(e, Arc) or isinstance(f, Arc):
+        arc, line = (e, f) if isinstance(e, Arc) else (f, e)
+        along = (line.end - line.start) / np.linalg.norm(line.end - line.start)
+        centre = np.array(arc.center)
+        foot = line.start + along * ((centre - line.start) @ along)
+        found += _both_sides(foot, along, arc.radius, float(np.linalg.norm(foot - centre)), tol)
+    else:
+        u, v, w = e.end - e.start, f.end - f.start, f.start - e.start
+        cross = u[0] * v[1] - u[1] * v[0]
+        if abs(cross) > _PARALLEL * np.linalg.norm(u) * np.linalg.norm(v):
+            found.append(e.start + u * ((w[0] * v[1] - w[1] * v[0]) / cross))
+    return [p for p in found if e.distance(p[None])[0] <= 2 * tol and f.distance(p[None])[0] <= 2 * tol]
+
+
+def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
+    """Points where two circles meet."""
+    centre, apart = np.array(e.center), np.array(f.center) - np.array(e.center)
+    distance = float(np.linalg.norm(apart))
+    if distance <= tol:
+        return []
+    toward = apart / distance
+    along = (distance**2 + e.radius**2 - f.radius**2) / (2 * distance)
+    return _both_sides(centre + along * toward, np.array([-toward[1], toward[0]]), e.radius, abs(along), tol)
+
+
+def _both_sides(foot: np.ndarray, along: np.ndarray, radius: float, distance: float, tol: float) -> list[np.ndarray]:
+    """Where a line meets a circle, ``foot`` the point of it nearest to the centre."""
+    if distance > radius - tol:
+        return [foot] if distance <= radius + tol else []
+    half = math.sqrt((radius - distance) * (radius + distance))
+    return [foot - half * along, foot + half * along]
+
+
+def _pieces(outline: Outline, edges: list[Segment | Arc], cuts: list[list[np.ndarray]], points: list[np.ndarray],
+            tol: float) -> list[_Piece]:
+    """The edges of an outline cut at points, which are numbered in ``points``."""
+    def number(p: np.ndarray) -> int:
+        for k, other in enumerate(points):
+            if np.abs(p - other).max() <= 4 * tol:
+                return k
+        points.append(p)
+        return len(points) - 1
+
+    result = []
+    for i, (edge, here) in enumerate(zip(edges, cuts, strict=True)):
+        ends = [np.array(outline.vertices[k]) for k in (i, outline.following[i])]
+        inner = sorted(here, key=edge.along)
+        numbers = list(dict.fromkeys(map(number, (ends[0], *inner))))
+        last = number(ends[1])
+        numbers = [k for k in numbers if k != last] + [last]
+        centre = outline.arcs.get(i)
+        for start, end in pairwise(numbers):
+            middle = 0.5 * (points[start] + points[end])
+            if centre is not None:
+                off = middle - np.array(centre)
+                middle = np.array(centre) + off * (edge.radius / np.linalg.norm(off))
+            result.append(_Piece(start, end, outline.boundaries[i], centre, middle))
+    return result
+
+
+def _winding(outline: Outline, x: np.ndarray) -> int:
+    """How often the outline goes round a point off it: 1 inside, 0 outside and in holes."""
+    a = np.array(outline.vertices) - x
+    b = a[outline.following]
+    turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
+    for i in outline.arcs:
+        arc, along = outline.arc(i), b[i] - a[i]
+        between = (along[0] * -a[i, 1] - along[1] * -a[i, 0]) * arc.angle < 0
+        if between and np.linalg.norm(x - np.array(arc.center)) < arc.radius:
+            turns[i] += math.copysign(2 * math.pi, arc.angle)
+    return round(float(turns.sum()) / (2 * math.pi))
+
+
+def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outline:
+    """The outline that pieces make, its outer edge first."""
+    leaving: dict[int, _Piece] = {}
+    for piece in pieces:
+        if piece.start in leaving:
+            raise ValueError(f"the edges of the {what} touch each other at the point "
+                             f"{tuple(points[piece.start].tolist())}: move or resize one part a little")
+        leaving[piece.start] = piece
+    loops = []
+    while leaving:
+        loop = [leaving.pop(next(iter(leaving)))]
+        while loop[-1].end in leaving:
+            loop.append(leaving.pop(loop[-1].end))
+        loops.append(loop)
+    areas = [_loop_area(loop, points) for loop in loops]
+    outer = [k for k, area in enumerate(areas) if area > 0]
+    if len(outer) != 1:
+        raise ValueError(f"the {what} leaves {f'{len(outer)} pieces' if outer else 'nothing'}; a body must be one "
+                         "piece: pose several as an Assembly")
+    loops.insert(0, loops.pop(outer[0]))
+    starts = np.cumsum([0, *map(len, loops)])
+    every = list(chain(*loops))
+    return Outline(vertices=tuple(tuple(points[piece.start].tolist()) for piece in every),
+                   boundaries=tuple(piece.name for piece in every), holes=tuple(starts[1:-1].tolist()),
+                   arcs={k: piece.centre for k, piece in enumerate(every) if piece.centre is not None})
+
+
+def _loop_area(loop: list[_Piece], points: list[np.ndarray]) -> float:
+    """The signed area of the polygon of ends and middles: its sign is that of the loop."""
+    x, y = np.array([p for piece in loop for p in (points[piece.start], piece.middle)]).T
+    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))

@@ -1,0 +1,158 @@
+"""Advice: warnings on what a problem or its solution asks of the theory and cannot get, each with a remedy.
+
+Limits of the theory: linear elements, small strains, small slips, lengths in m. Thresholds are such that none of the
+cases of the package is beyond one. A kind of warning is given once a call of :func:`adaptmg.solve`,
+:func:`adaptmg.solve_path` or :func:`adaptmg.adapt`, at the line of the user.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+import numpy as np
+
+from adaptmg.discrete.elasticity import body_materials
+from adaptmg.discrete.stress import element_strain, hoop_strain
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem import Contact, ContactProblem, Plane, PlaneStress
+from adaptmg.smoother.system import OPEN
+from adaptmg.solver.result import Result
+
+__all__ = ["advise", "advise_on_path", "advise_on_problem", "advise_on_result", "once"]
+
+#: Poisson's ratio from which linear elements lock
+LOCKING = 0.49
+#: strains that are no longer small, where a share of a body's volume exceeds them (next to singular points they have
+#: no bound)
+STRAIN, SHARE = 0.05, 0.01
+#: spans beyond this many m are doubted for bodies of metal, or of moduli of metals and plastics in N/mm^2, Pa
+SPAN, METAL, IN_MPA = 10.0, 5e10, (1e3, 1e6)
+#: bodies do not meet if the gap that is left exceeds all displacements by this factor
+FAR = 10.0
+#: slips matter beyond an element and this share of the contact boundary
+SLID = 0.01
+
+_SAID: ContextVar[set[str] | None] = ContextVar("said", default=None)
+
+
+@contextmanager
+def once(said: set[str] | None = None) -> Iterator[None]:
+    """Inside give each kind of warning once; ``said`` collects the kinds, an outer block has precedence."""
+    if _SAID.get() is not None:
+        yield
+        return
+    token = _SAID.set(set() if said is None else said)
+    try:
+        yield
+    finally:
+        _SAID.reset(token)
+
+
+def advise(kind: str, text: str, category: type[Warning] = UserWarning) -> None:
+    """Warn at the line that called the package."""
+    said = _SAID.get()
+    if said is not None:
+        if kind in said:
+            return
+        said.add(kind)
+    level, frame = 1, sys._getframe()
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("adaptmg", "contextlib"):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, category, stacklevel=level)
+
+
+def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -> None:
+    """Warn of elements that lock, and of lengths that are not in m."""
+    if problem is None or mesh is None:
+        return
+    materials = body_materials(mesh, problem.material)
+    for name, one in zip(mesh.bodies, materials, strict=True):
+        if one.poisson > LOCKING and not isinstance(one, PlaneStress):
+            advise("poisson", f"material of body {name!r}: poisson is {one.poisson:g}, and above {LOCKING:g} linear "
+                   "elements lock: displacements come out too small, and stresses oscillate. Take poisson <= "
+                   f"{LOCKING:g}")
+    span, young = float(np.ptp(mesh.points, axis=0).max()), max(one.young for one in materials)
+    if span > SPAN and (young >= METAL or IN_MPA[0] <= young <= IN_MPA[1]):
+        advise("units", f"the bodies span {span:g} m, with young up to {young:g} Pa: are these lengths in mm"
+               f"{'' if young >= METAL else ' and moduli in N/mm^2'}? adaptmg takes m, N and Pa: scale the domain by "
+               "1e-3" + ("" if young >= METAL else ", moduli and pressures by 1e6"))
+
+
+def advise_on_result(problem: ContactProblem | None, result: Result, contact: bool = True) -> None:
+    """Warn of large strains, of large slips, and (if ``contact``) of bodies that cannot meet."""
+    if not result.status.ok:
+        return
+    if contact:
+        _advise_on_contact([result])
+    if problem is not None and result.mesh is not None:
+        _advise_on_strains(problem, result.mesh, result)
+        _advise_on_slips(problem, result.mesh, result)
+
+
+def advise_on_path(problem: ContactProblem | None, results: Sequence[Result]) -> None:
+    """Warn of what any step of a load path shows; bodies cannot meet if they do not in any of them."""
+    if all(result.status.ok for result in results):
+        _advise_on_contact(results)
+    for result in results:
+        advise_on_result(problem, result, contact=False)
+
+
+def _advise_on_contact(results: Sequence[Result]) -> None:
+    contact = results[0].contact
+    moved = max(float(np.linalg.norm(result.displacement, axis=1).max(initial=0.0)) for result in results)
+    for k, name in enumerate(contact.names):
+        at = contact.boundary == k
+        least = min(float(result.contact.gap[at].min(initial=np.inf)) for result in results)
+        if moved > 0.0 and least > FAR * moved:
+            where = f"stays at least {least:.3g} m from" if np.isfinite(least) else "has nothing in front of"
+            other = (*contact.masters, *[""] * len(contact.names))[k]
+            advise("apart", f"contact {name!r} {where} {repr(other) if other else 'its obstacle'}, and no point moves "
+                   f"by more than {moved:.3g} m: they cannot meet. Check the positions and normals of both (m), and "
+                   "the loads that press them together")
+
+
+def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
+    materials, volume = body_materials(mesh, problem.material), mesh.volumes
+    if problem.axisymmetric:
+        volume = 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * volume
+    bodies = np.bincount(mesh.element_body, volume, len(mesh.bodies))
+    if result.checked is not None:
+        # the energy u'Au is at least that of these strains in that volume: rarely do they have to be computed
+        stiffness = [2 * one.shear_modulus + min(3 * one.lame, 0.0) for one in materials]
+        if result.checked.energy_norm**2 < STRAIN**2 * SHARE * (stiffness * bodies).min():
+            return
+    size = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
+    if problem.axisymmetric:
+        size = np.maximum(size, np.abs(hoop_strain(mesh, result.displacement)))
+    share = np.bincount(mesh.element_body, volume * (size > STRAIN), len(bodies)) / bodies
+    body = int(np.argmax(share))
+    if share[body] > SHARE:
+        largest = size[mesh.element_body == body].max()
+        advise("strain", f"strains exceed {100 * STRAIN:g} % in {100 * share[body]:.2g} % of body "
+               f"{mesh.bodies[body]!r} (largest {largest:.3g}), but the theory is one of small strains: check young "
+               f"({materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less")
+
+
+def _advise_on_slips(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
+    contact = result.contact
+    for k, posed in enumerate(problem.contact):
+        if isinstance(posed, Contact) and isinstance(posed.obstacle, Plane):
+            continue  # it is the same everywhere
+        at = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
+        facets = mesh.boundary_facets(posed.boundary)
+        corners = mesh.points[facets]
+        edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        element = np.zeros(mesh.n_nodes)
+        np.maximum.at(element, facets, edges[:, None])
+        extent = np.linalg.norm(np.ptp(corners.reshape(-1, mesh.dim), axis=0))
+        slip = np.linalg.norm(contact.u_t[at], axis=1)
+        most = np.maximum(element[contact.node[at]], SLID * extent)
+        if (slip > most).any():
+            i = int(np.argmax(slip - most))
+            advise("slip", f"contact {posed.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most[i]:.3g} "
+                   "m), but the theory is one of small slips: each point stays opposite to where it was. Move or load "
+                   "the bodies less, or pose the problem in the position to which they slid")

@@ -1,0 +1,99 @@
+"""Springs, supports at points and planes of symmetry: exact fields, forces that balance, what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.discrete import fixed_dofs
+from adaptmg.mesh import structured
+from adaptmg.solver.statics import check_statics
+
+PRESSURE, STIFF, E = 5e5, 1e9, 1e8
+FAR = am.Coulomb(0.3)
+
+
+def on_springs(kind: type) -> am.ContactProblem:
+    """A block that is pressed on springs, free to widen: its stress is uniform, its foot sinks by p / k."""
+    dim = 3 if kind is am.Solid else 2
+    domain = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
+    sides = ("left", "front") if dim == 3 else ("left",)
+    return am.ContactProblem(
+        material=kind(young=E, poisson=0.25), domain=domain, law=FAR, loads=[am.Pressure("top", PRESSURE)],
+        contact=am.Contact("right", am.Plane((2.0, *[0.0] * (dim - 1)), (-1.0, *[0.0] * (dim - 1)))),
+        supports=[am.Spring("bottom", normal=STIFF), *map(am.Symmetry, sides)])
+
+
+@pytest.mark.parametrize("kind", [am.PlaneStress, am.Axisymmetric, am.Solid])
+def test_springs_carry_a_uniform_stress_exactly(kind, tmp_path):
+    problem = on_springs(kind)
+    grids = am.Hierarchy.uniform(problem, (2, 4))
+    result = am.solve(grids, am.Multigrid(rtol=1e-12))
+    area = np.pi if kind is am.Axisymmetric else 1.0
+    foot = grids.finest.mesh.boundary_nodes("bottom")
+    np.testing.assert_allclose(result.displacement[foot, -1], -PRESSURE / STIFF, rtol=1e-9)
+    under = result.resultant("bottom", about=[0.5] * (problem.dim - 1) + [0.0])
+    np.testing.assert_allclose(under.force, [0.0] * (problem.dim - 1) + [PRESSURE * area], atol=1e-6 * PRESSURE)
+    if kind is not am.Axisymmetric:
+        np.testing.assert_allclose(under.moment, 0.0, atol=1e-6 * PRESSURE)
+    assert result.certificate()["balance"].relative < 1e-9
+    assert am.Residual().indicate(grids, result).relative < 1e-6
+    assert am.Goal(am.MeanDisplacement("bottom", "xyz"[problem.dim - 1])).indicate(grids, result).relative < 1e-6
+    result.save(tmp_path / "run.npz")
+    assert am.Result.load(tmp_path / "run.npz").springs == result.springs
+    matrix = grids.finest.matrix.toarray()
+    np.testing.assert_array_equal(matrix, matrix.T)
+
+
+def test_springs_across_and_at_points_hold_what_nothing_else_does():
+    problem = replace(on_springs(am.PlaneStress), supports=[am.Spring("bottom", normal=STIFF, tangential=2e8)],
+                      loads=[am.Traction("top", (1e4, 0.0))])
+    result = am.solve(am.Hierarchy.uniform(problem, (4, 8)), am.Multigrid(rtol=1e-11))
+    assert result.resultant("bottom").force == pytest.approx([-1e4, 0.0], abs=1e-2)
+    # far softer than the body, and the statics see them
+    soft = (am.PointSpring((0, 0), x=10.0, y=10.0), am.PointSpring((1, 0), y=10.0))
+    posed = replace(problem, supports=soft, loads=[am.Traction("top", (0.0, -1.0))])
+    check_statics(am.discretise(posed, structured(posed.domain, 4)))
+    with pytest.raises(ValueError, match=r"rotation about \(0, 1\)"):
+        check_statics(am.discretise(replace(posed, law=am.Frictionless(), supports=[am.PointSpring((0, 1), y=10.0)]),
+                                    structured(posed.domain, 4)))
+    hung = am.solve(am.Hierarchy.uniform(posed, (4, 8)), am.Multigrid())
+    assert hung.resultant("point (1, 0)", about=(1, 0)).force == pytest.approx([0, 0.5], rel=1e-4)
+    np.testing.assert_allclose(hung.displacement.mean(axis=0), [0.0, -0.05], atol=1e-6)
+
+
+def test_a_point_support_holds_one_node_and_symmetry_one_component():
+    problem = on_springs(am.PlaneStress)
+    mesh = structured(problem.domain, 4)
+    by_word, by_axis = (fixed_dofs(mesh, [one]) for one in (am.Symmetry("left"), am.Support("left", x=0.0)))
+    np.testing.assert_array_equal(by_word, by_axis)
+    held, values = fixed_dofs(mesh, [am.PointSupport((0.25, 1.0), y=1e-3)])
+    node = int(np.flatnonzero(held)[0]) // 2
+    assert held.sum() == 1 and mesh.points[node].tolist() == [0.25, 1.0] and values[2 * node + 1] == 1e-3
+    hung = replace(problem, supports=[am.PointSupport((0, 1), x=0.0, y=1e-3), am.PointSupport((1, 1), y=1e-3)])
+    path = am.solve_path(am.Hierarchy.uniform(hung, (2, 4)),
+                         am.LoadPath({"point (0, 1)": [1, 2], "point (1, 1)": [1, 2]}), am.Multigrid(rtol=1e-11))
+    np.testing.assert_allclose(path[1].displacement - path[0].displacement, [[0.0, 1e-3]] * 25, atol=1e-10)
+    assert path[0].reaction[:, 1].sum() == pytest.approx(PRESSURE)
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: am.Spring("foot"), "has no stiffness: give normal or tangential"),
+    (lambda: am.Spring("foot", normal=-1.0), "normal must be >= 0"),
+    (lambda: am.PointSpring((0, 0), x=np.nan), "x must be"),
+    (lambda: am.PointSupport((0, 0)), r"'point \(0, 0\)' fixes nothing"),
+    (lambda: am.PointSupport((0,), x=0.0), "2 or 3 components"),
+    (lambda: replace(on_springs(am.Solid), supports=[am.PointSupport((0, 0), x=0.0)]), "2 components in a 3D problem"),
+    (lambda: replace(on_springs(am.PlaneStress), supports=[am.Spring("foot", normal=1.0)]),
+     "'foot', used for a support"),
+    (lambda: fixed_dofs(structured(am.Rectangle(width=1, height=1), 4), [am.PointSupport((0.3, 0), x=0.0)]),
+     "nearest one 0.05 m away"),
+    (lambda: am.Hierarchy.graded(replace(on_springs(am.PlaneStress), domain=am.Cut(
+        am.Rectangle(width=1, height=1), am.Circle((0.5, 0.5), 0.2)), supports=[am.Symmetry("circle")]), [0.2]),
+     "symmetry on 'circle': the boundary must be plane")])
+def test_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -1,0 +1,9 @@
+"""Distances of displacements."""
+
+import numpy as np
+
+
+def distance(problem, one, other):
+    """Between displacements (n_nodes, dim) of a DiscreteProblem, in the energy norm, relative to the second."""
+    error, size = (problem.relative(u).reshape(-1) for u in (one - other, other))
+    return float(np.sqrt(error @ (problem.matrix @ error) / (size @ (problem.matrix @ size))))

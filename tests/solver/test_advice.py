@@ -1,0 +1,122 @@
+"""Warnings on what exceeds the theory: each fires where it should, and none on any case; the default of one mesh."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import bar_hierarchy, bar_on_block
+
+import adaptmg as am
+from adaptmg.solver import solve as solving
+
+
+def bar(scale=1.0, young=1.3e11, poisson=0.2, material=am.PlaneStrain, pressure=1e7, above=0.0, divisions=(4, 8)):
+    """A bar over a plane, pressed on it from its top, which is held sideways."""
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=40e-3 * scale, height=40e-3 * scale), material=material(young=young, poisson=poisson),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, -above), normal=(0.0, 1.0))), law=am.Coulomb(0.2),
+        loads=(am.Pressure("left", pressure),), supports=(am.Support("top", x=0.0, y=-1e-5),))
+    return am.Hierarchy.uniform(problem, divisions=divisions)
+
+
+def warned(act):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        act()
+    return [str(one.message) for one in caught], {one.filename for one in caught}
+
+
+BEYOND = {
+    "poisson is 0.495": ({"poisson": 0.495}, {"poisson": 0.49}, {"poisson": 0.495, "material": am.PlaneStress}),
+    "span 40 m, with young .*1.3e\\+11 Pa.*in mm\\?": ({"scale": 1e3}, {"scale": 100},
+                                                        {"scale": 1e3, "young": 1e9}),
+    "in mm and moduli in N/mm": ({"scale": 1e3, "young": 1.3e5, "pressure": 1e2}, {"young": 1.3e5, "pressure": 1e2}),
+    "strains exceed 5 %.*young \\(1.3e\\+08 Pa": ({"young": 1.3e8}, {"young": 1.3e9}),
+    "stays at least .* they cannot meet": ({"above": 1e-3}, {"above": 5e-5})}
+
+
+@pytest.mark.parametrize("message", BEYOND)
+def test_a_limit_of_the_theory_is_named_once_at_the_line_of_the_user(message):
+    beyond, *within = BEYOND[message]
+    grids = bar(**beyond)
+    for act in (lambda: am.solve(grids), lambda: am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}))):
+        with pytest.warns(UserWarning, match=message) as caught:
+            act()
+        assert len(caught) == 1 and caught[0].filename == __file__
+    for one in within:
+        assert warned(lambda one=one: am.solve(bar(**one)))[0] == []
+
+
+def test_slips_beyond_an_element_count_between_bodies_alone():
+    def pushed(by):
+        problem = bar_on_block(am.Coulomb(0.1))
+        supports = tuple(replace(one, x=by) if one.boundary == "upper.right" else one
+                         for one in problem.supports)
+        return bar_hierarchy(replace(problem, supports=supports), 2)
+
+    assert warned(lambda: am.solve(pushed(1e-5)))[0] == []
+    with pytest.warns(UserWarning, match="more than an element.*small slips"):
+        am.solve(pushed(15e-3), throw=False)
+
+
+def test_an_adaptive_loop_warns_once():
+    soft = replace(bar().problem, material=am.PlaneStrain(young=1.3e8, poisson=0.495))
+    said, where = warned(lambda: list(am.adapt(soft, max_nodes=400)))
+    assert sorted(text.split()[0] for text in said) == ["material", "strains"] and where == {__file__}
+
+
+#: what some cases are about
+EXPECTED = {"leaning_strut": "may not be unique"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", am.cases.names())
+def test_no_case_is_beyond_the_theory_and_every_one_adapts_without_options(name):
+    problem = am.cases.get(name).function()
+    said, _ = warned(lambda: next(iter(am.adapt(problem))))
+    assert all(EXPECTED.get(name, "nothing") in text for text in said), said
+
+
+def test_one_mesh_takes_the_quickest_method_and_a_given_one_stays(monkeypatch, tmp_path):
+    grids = bar(divisions=(32,))
+    result = am.solve(grids)
+    assert result.solver_name.startswith("ActiveSet(") and "the quickest is the active set method" in repr(result)
+    assert am.solve(grids.finest.discrete).choice == result.choice
+    result.save(tmp_path / "bar.npz")
+    assert am.Result.load(tmp_path / "bar.npz").choice == result.choice
+    monkeypatch.setattr(solving, "FACTORISED", {2: 400, 3: 400})
+    large = am.solve(grids)
+    assert large.solver_name == "Multigrid()" and "coarse spaces" in repr(large) and len(large.levels) > 1
+    assert large.mesh is grids.finest.mesh and "transfer" in large.timings
+    assert large.displacement == pytest.approx(result.displacement, abs=1e-7 * np.abs(result.displacement).max())
+    pair = am.Hierarchy.from_meshes((posed := bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 3)).problem,
+                                    (posed.finest.mesh,))
+    assert am.solve(pair).status.ok and am.solve_path(pair, am.LoadPath({"upper.left": [0.5, 1.0]})).complete
+    given = am.solve(grids, am.SingleGrid(rtol=1e-3))
+    assert given.solver_name == "SingleGrid(rtol=0.001)" and given.choice == "" and "solver=None" not in repr(given)
+
+
+def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
+    grids = bar()
+    with caplog.at_level(logging.DEBUG, "adaptmg"):
+        result = am.solve(grids, progress=True)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == len(result.history["cycle"]) and lines[0].startswith("cycle 0: 2.")
+    records = [(one.levelno, one.getMessage()) for one in caplog.records if one.name == "adaptmg.solver.solve"]
+    assert [text for level, text in records if level == logging.INFO] == [
+        text for level, text in records if "CONVERGED after" in text]
+    assert set(lines) < {text for _, text in records}
+    steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}), progress=True)
+    written = [line.partition("=")[0] for line in capsys.readouterr().err.splitlines()]
+    assert written == [f"step {k} of 2 (left" for k in (0, 1)]
+    assert steps.complete
+    meshes = list(am.adapt(grids.problem, max_nodes=300, progress=True))
+    assert len(capsys.readouterr().err.splitlines()) == 2 * len(meshes)
+    for name, act in {"progress": lambda: am.solve(grids, progress=1),
+                      "progress must be None": lambda: am.adapt(grids.problem, progress="bar")}.items():
+        with pytest.raises(TypeError, match=name):
+            act()

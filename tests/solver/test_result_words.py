@@ -1,0 +1,175 @@
+"""Every public object describes itself in 400 characters, without arrays; tables name their units."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from functools import cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from made import cube, result_on
+
+import adaptmg as am
+
+MOST = 400
+
+
+@cache
+def solved() -> tuple[am.Hierarchy, am.Result]:
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4, 8, 16))
+    return grids, am.solve(grids)
+
+
+@cache
+def along() -> am.PathResult:
+    return am.solve_path(solved()[0].truncated(finest=2), am.LoadPath({"left": np.linspace(0.1, 1, 6), "top": 1.0}))
+
+
+@cache
+def adapted() -> tuple[am.Step, ...]:
+    grids = am.Hierarchy.uniform(am.cases.upset_block(), divisions=(4,))
+    return tuple(am.adapt(grids.problem, grids, engine=am.Bisect(), max_nodes=60))
+
+
+def ring(n: int) -> list[tuple[float, float]]:
+    angles = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    return [(float(np.cos(a)), float(np.sin(a))) for a in angles]
+
+
+def rows(n: int) -> dict[str, int]:
+    return {"m": n}
+
+
+def examples(folder: Path) -> list[object]:
+    grids, result = solved()
+    steel = am.PlaneStrain(young=2e11, poisson=0.3)
+    big = am.Polygon(vertices=ring(300), boundaries=[f"edge {k}" for k in range(300)])
+    many = am.Assembly(parts={f"body {k}": am.Rectangle(width=1.0, height=1.0, origin=(2.0 * k, 0.0))
+                              for k in range(60)})
+    points = np.random.default_rng(0).random((500, 2))
+    with pytest.raises(am.NotConverged) as caught:
+        am.solve(grids, am.SingleGrid(max_sweeps=2))
+    box = am.Box(width=1.0, depth=1.0, height=1.0)
+    ball = am.Ball((0.0, 0.0, 0.0), 1.0)
+    study = am.Study(rows, {"n": list(range(1, 200))}, folder / "s.sqlite")
+    n = 30
+    estimate = am.GoalEstimate(squares=np.ones(9), norm=1.0, indicator="goal", value=1.0, signed=0.1, energy_error=0.1,
+                               names=tuple(f"u_y at {k}" for k in range(n)), units=("m",) * n, values=np.ones(n),
+                               errors=np.ones(n), algebraic=np.ones(n), discretisation=0.1, residuals=np.ones(n))
+    goal = am.Displacement(points=points, component="y")
+    return [
+        grids, result, result.contact, result.certificate(), grids.finest, grids[0], grids.finest.mesh,
+        grids.finest.discrete, grids.finest.discrete.contact, grids.finest.discrete.law, grids.problem, along(),
+        *adapted(), adapted()[-1].estimate, caught.value, big, many, study, study.status(), goal, estimate,
+        am.Goal(goal), box, ball, am.Pressure("left", lambda x: x[:, 0]),
+        am.ContactProblem(material=steel, domain=many, law=am.Coulomb(0.3), supports=[
+            am.Support(f"body {k}.left", x=0.0, y=0.0) for k in range(60)], contact=[
+            am.ContactPair(f"body {k}.right", f"body {k + 1}.left") for k in range(59)]),
+        am.Tresca(np.full(1000, 1e5)), am.Coulomb(lambda x: x[:, 0]), am.Frictionless(),
+        am.LoadPath({"left": np.linspace(0, 1, 1000)}), am.LoadPath({"left": [0.0, 1.0]}),
+        am.SizeNear(points, size=1e-3, radius=1e-2), am.Extrusion(big, 1.0),
+        am.Outline(vertices=ring(200), boundaries=["rim"] * 200), am.Rectangle(width=1.0, height=1.0),
+        am.Cut(box, am.Moved(ball, offset=(1.0, 0.0, 0.0))), am.Fuse(box, ball), am.Common(box, ball),
+        am.Cylinder((0, 0, 0), (0, 0, 1), 1.0, 2.0), am.Plane((0, 0), (0, 1)),
+        am.FullMultigrid(), am.FullMultigrid(smoother=am.ProjectedGaussSeidel(omega=1.2), max_cycles=7,
+                                             cycle=am.Cycle(pre=3), correction=am.Monotone()),
+        am.Multigrid(), am.SingleGrid(),
+        am.ActiveSet(linear=am.AMG()), am.ActiveSet(linear=am.Direct()), am.Truncated(), am.Monotone(),
+        am.PaperCorrection(), am.CoarseSolve(), am.NestedStart(), am.Doerfler(), am.Maximum(), am.Remesh(), am.Bisect(),
+        am.Recovery(), am.Residual(), am.Interpolation(), am.PseudoL2(), am.L2(), am.LumpedL2(),
+        am.QuasiInterpolation(), am.Pressure("left", 1.0), am.Traction("left", (1.0, 0.0)),
+        am.BodyForce((0.0, 1.0)), am.InitialStrain("body", (1e-3, 1e-3, 1e-3)), am.Support("left", x=0.0),
+        am.Contact("bottom", am.Plane((0, 0), (0, 1))), am.GapFunction(lambda x: x[:, 0]), steel,
+        am.PlaneStress(young=1.0, poisson=0.3), am.Axisymmetric(young=1.0, poisson=0.3),
+        am.Solid(young=1.0, poisson=0.3), am.ContactForce("bottom", "y"), am.MeanDisplacement("left", "x"),
+        am.Opening("bottom", (0.0, 0.0)), am.Status.CONVERGED, am.AMG(), am.Direct(), am.Cycle(),
+        am.ProjectedGaussSeidel(), am.ContactPair("a.left", "b.right"), am.Moved(ball, offset=(1.0, 0.0, 0.0)),
+        am.Revolution(am.Rectangle(width=1.0, height=1.0).polygon, 90.0)]
+
+
+def test_every_public_object_describes_itself_briefly(tmp_path):
+    made = examples(tmp_path)
+    classes = {name for name in am.__all__ if inspect.isclass(getattr(am, name))}
+    assert classes - {type(one).__name__ for one in made} == {"StepFile"}  # which reads a file
+    for one in made:
+        text = repr(one)
+        assert len(text) <= MOST and "array(" not in text, text
+
+
+def test_short_options_read_as_they_are_written():
+    for one in (am.FullMultigrid(max_cycles=7), am.Polygon(vertices=ring(4), boundaries=("a", "b", "c", "d")),
+                am.ActiveSet(linear=am.AMG()), am.Remesh(growth=2.0), am.Displacement(points=(0.0, 1.0), component=0)):
+        assert eval(repr(one), vars(am)) == one
+    path = eval(repr(am.LoadPath({"left": [0.5, 1.0]})), vars(am))
+    np.testing.assert_array_equal(path.of("left"), [0.5, 1.0])
+
+
+def test_values_on_demand_are_not_made_for_a_repr():
+    discrete = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2,)).finest.discrete
+    before = discrete.__dict__["near_nullspace"]
+    repr(discrete)
+    assert discrete.__dict__["near_nullspace"] is before
+
+
+def test_printing_shows_the_whole_table():
+    steps = along()
+    assert str(steps).count("CONVERGED") == 6 and len(str(solved()[0]).splitlines()) == 7
+    line = str(adapted()[0])
+    assert all(word in line for word in ("nodes", "levels", "estimate", "cycles", "work units", " s ("))
+    assert len(adapted()[0].row) == len(am.Step.HEADER)
+
+
+def test_notebooks_show_tables_and_pictures():
+    grids, result = solved()
+    for one in (grids, result, along(), adapted()[-1]):
+        html = one._repr_html_()
+        assert html.count("<table") == html.count("</table>") == 1
+    assert "force_x [N/m]" in result._repr_html_() and "max_nodes" in adapted()[-1]._repr_html_()
+    picture = ElementTree.fromstring(grids[1].mesh._repr_svg_())
+    path = picture.find("{*}path").get("d")
+    assert path.count("M") == 4 * 4 + 2 * 4 * 5  # diagonals, and the lines of the lattice
+    assert max(map(float, re.findall(r"[\d.]+", path))) <= min(int(picture.get(name)) for name in ("width", "height"))
+    assert ElementTree.fromstring(cube(2)._repr_svg_()).find("{*}path").get("d").count("M") == 6 * (4 + 12)  - 24
+    assert type(result.plot("history")).__mro__[1].__name__ == "Figure"
+    with pytest.raises(ValueError, match="kind must be one of"):
+        result.plot("grids")
+
+
+def test_tables_have_a_row_each_and_units_in_their_heads():
+    _, result = solved()
+    table, c = result.contact.table(), result.contact
+    np.testing.assert_array_equal(table["pressure [Pa]"], c.pressure)
+    np.testing.assert_array_equal(table["force_t [N/m]"], c.force_t[:, 0])
+    assert (table["state"] == "stick").sum() == (c.state == am.STICK).sum()
+    row = result.pairs().iloc[0]
+    np.testing.assert_array_equal(row[["force_x [N/m]", "force_y [N/m]"]].astype(float), result.resultant().force)
+    assert row["moment_z [N]"] == result.resultant().moment and row["stick"] == c.counts()["stick"]
+    loop = am.Step.table(adapted())
+    assert list(loop["nodes"]) == [step.nodes for step in adapted()] and "seconds [s]" in loop
+
+
+def test_the_way_slipped_adds_up_where_the_load_turns():
+    grids = solved()[0].truncated(finest=1)
+    steps = am.solve_path(grids, am.LoadPath({"left": [0.2, 1.0, 0.0], "top": 1.0}), am.FullMultigrid(rtol=1e-10))
+    ways = steps.slip_path()
+    assert ways.shape == (3, len(steps[0].contact)) and (np.diff(ways, axis=0) >= 0).all()
+    wanted = np.zeros(ways.shape[1])
+    for k, one in enumerate(steps):
+        wanted += np.where(one.contact.state == am.OPEN, 0.0, np.abs(one.contact.slip[:, 0]))
+        np.testing.assert_array_equal(ways[k], wanted)
+    net = np.abs(sum(one.contact.slip[:, 0] for one in steps))
+    assert (ways[-1] > net + 1e-9).any()
+    assert steps.table()["slip_path [m]"].iloc[-1] == ways[-1].max()
+
+
+def test_work_to_an_error_is_where_it_stays_below():
+    error = np.array([np.inf, 1e-1, 1e-3, np.nan, 1e-2, 1e-4, 1e-5])
+    result = result_on(None, history={"cycle": np.arange(7), "work_units": 10.0 * np.arange(7), "error_estimate": error,
+                                      "residual": error})
+    assert result.work_to(1.0) == 10.0 and result.work_to(5e-3) == 50.0 and result.work_to(1e-5) == 60.0
+    assert result.work_to(1e-9, "residual") == np.inf
+    with pytest.raises(ValueError, match="of must be one of 'error_estimate', 'residual'"):
+        result.work_to(1e-3, "cycle")
