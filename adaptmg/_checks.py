@@ -51,7 +51,6 @@ def number(name: str, value: object) -> float:
 
 
 def _number_that(words: str, condition: Callable[[float], bool]) -> Callable[[str, object], float]:
-    """The check of a finite float that satisfies a condition."""
     def check(name: str, value: object) -> float:
         result = number(name, value)
         if not condition(result):

@@ -100,7 +100,6 @@ class _Cache(FunctionCache):
 
 @lru_cache(maxsize=1)
 def _announce_compiling() -> None:
-    """Report, once a process and before it takes seconds, that kernels are compiled."""
     text = "compiling kernels (first use on this machine, about 20 s; kept for later runs)"
     if sys.stderr is not None and sys.stderr.isatty() and multiprocessing.parent_process() is None:
         say(f"adaptmg: {text}")

@@ -71,7 +71,6 @@ def brief(self: Any) -> str:
 
 
 def _value(value: Any, most: int) -> str:
-    """A value in a repr: in at most ``most`` characters, or by its kind and size."""
     name, shape = type(value).__name__, getattr(value, "shape", ())
     if isinstance(shape, tuple) and shape:
         if len(shape) > 1 or shape[0] > 12:

@@ -449,7 +449,6 @@ class Hierarchy:
 
 
 def _each(name: str, value: T | Sequence[T], one: tuple[type, ...]) -> tuple[T, ...]:
-    """A sequence with a value a level; an instance of ``one`` stands for one level."""
     if isinstance(value, one) and not isinstance(value, bool):
         return (value,)
     values = checks.listed(name, value, "values, one a level, coarse to fine")
@@ -484,7 +483,6 @@ def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
 
 
 def _label(value: object) -> str:
-    """A size, a ratio or divisions as text: a number, some, or by body."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{body}: {_label(part)}" for body, part in value.items()) + "}"
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -117,7 +117,6 @@ Level.mesh_ratio = made_on_demand("mesh_ratio", "Largest local ratio of mesh siz
 
 
 def _ratio_to(coarse: MeshArrays, level: Level) -> float:
-    """Largest local ratio of mesh sizes, those of ``coarse`` over those of the level."""
     from adaptmg.transfer import mesh_ratio
 
     return mesh_ratio(coarse, level.mesh)

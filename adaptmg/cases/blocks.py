@@ -237,7 +237,6 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
 
 
 def _tilted(x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]) -> Polygon:
-    """A rectangle turned about the origin by an angle in degrees."""
     c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     corners = ((x, y), (x + width, y), (x + width, y + height), (x, y + height))
     return Polygon(vertices=tuple((c * p - s * q, s * p + c * q) for p, q in corners), boundaries=names)

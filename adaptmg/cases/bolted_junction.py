@@ -323,14 +323,12 @@ def _flange_section(flanges: Flanges, thickness: float, bolt: str) -> Polygon:
 
 
 def _mirrored(profile: Polygon) -> Polygon:
-    """The section on the other side of z = 0, counter-clockwise again."""
     vertices = tuple((r, -z) for r, z in reversed(profile.vertices))
     names = tuple(reversed(profile.boundaries))
     return Polygon(vertices=vertices, boundaries=names[1:] + names[:1])
 
 
 def _ring_section(flanges: Flanges) -> Polygon:
-    """I-shaped section of the equivalent ring."""
     f, head, shank = flanges, 0.5 * flanges.seat, 0.5 * flanges.shank
     tip, top, low, end = f.upper + f.head_height, f.upper, -f.lower, -f.lower - f.head_height
     corners = [((-head, end), "tip"), ((head, end), "side"), ((head, low), "lower_head"), ((shank, low), "side"),
@@ -351,7 +349,6 @@ def _bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
 
 
 def _drilled(profile: Polygon, flanges: Flanges, places: list[tuple[float, float]]) -> SolidDomain:
-    """A flange as a solid with its holes."""
     solid: SolidDomain = Revolution(profile, angle=90.0)
     reach = 2 * flanges.clamped
     for x, y in places:

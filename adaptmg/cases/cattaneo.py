@@ -143,7 +143,6 @@ def cattaneo_path(steps: int = 1) -> LoadPath:
 
 
 def _half_cylinder(radius: float, a: float) -> Outline:
-    """Flat at its middle plane y = radius."""
     (x, y), center = on_circle(radius, SLAVE_REACH * a), (0.0, radius)
     return Outline(vertices=((-radius, radius), (-x, y), (0.0, 0.0), (x, y), (radius, radius)),
                    boundaries=("side", "contact", "contact", "side", "top"),

@@ -98,7 +98,6 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
 
 
 def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float, size: float) -> dict[str, object]:
-    """The closed form without friction."""
     nu = material.poisson
     strain = (-(1 - nu**2) * side_pressure + nu * (1 + nu) * top_pressure) / material.young
     exact = {name: -(1 - fraction) * size * strain for name, fraction in

@@ -118,7 +118,6 @@ def _class_of(argument: str, name: Value, kinds: Sequence[type]) -> type:
 
 @cache
 def _parameters(function: Maker) -> dict[str, tuple[inspect.Parameter, tuple[type, ...]]]:
-    """Arguments that settings can give, with the classes of those that are objects."""
     found = {}
     for name, item in inspect.signature(function).parameters.items():
         if name in OBJECTS and not str(item.annotation).startswith("str"):
@@ -214,7 +213,6 @@ def _first_sentence(name: str, text: str) -> str:
 
 
 def _unmarked(text: str) -> str:
-    """Text without the markup of docstrings."""
     return re.sub(r":\w+:`~?([^`]*)`", r"\1", text).replace("`", "").strip()
 
 
@@ -372,7 +370,6 @@ def setting(known: Mapping[str, Mapping[str, Key]], name: str, value: object, pl
 
 
 def _plain(name: str, value: object, place: str) -> Value:
-    """Return a value that can be a parameter; lists become tuples."""
     if isinstance(value, list | tuple):
         return tuple(_plain(f"{name}[{k}]", item, place) for k, item in enumerate(value))
     if isinstance(value, bool | int | float | str):
@@ -494,7 +491,6 @@ def _grid_arguments(task: am.ContactProblem, given: Arguments
 
 
 def _parts(task: am.ContactProblem) -> dict[str, Domain]:
-    """Domains by name of body; of a single one the name is empty."""
     return getattr(task.domain, "parts", {"": task.domain})
 
 

@@ -46,19 +46,16 @@ def _states(solved: Solved, code: int) -> int:
 
 
 def _along(solved: Solved, boundary: str = "contact") -> dict[str, float | None]:
-    """Return the components of the force on a boundary; None for the third in 2D."""
     force = solved.result.resultant(boundary).force
     return {axis: float(force[k]) if k < len(force) else None for k, axis in enumerate("xyz")}
 
 
 def _largest(values: np.ndarray) -> float:
-    """Return the largest absolute value or length of a vector, 0 without values."""
     sizes = np.linalg.norm(values, axis=1) if values.ndim > 1 else np.abs(values)
     return float(sizes.max(initial=0.0))
 
 
 def _in_contact(solved: Solved, name: str) -> np.ndarray:
-    """Return a contact quantity at the nodes that are not open."""
     contact = solved.result.contact
     return getattr(contact, name)[contact.state != am.OPEN]
 

@@ -152,7 +152,6 @@ def _add_settings(parser: _Parser, command: str) -> None:
 
 
 def _settings(given: Namespace) -> dict[str, object]:
-    """Return the settings of options and of ``--set``, checked."""
     from adaptmg.cli import build
 
     texts = {name: text for name, text in vars(given).items() if "." in name}
@@ -354,7 +353,6 @@ def _errors(texts: Sequence[str]) -> Iterator[None]:
 
 def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
           line: str | None = None) -> None:
-    """Print a warning as a line, without its place in Python."""
     _say(f"adaptmg: warning: {' '.join(str(message).split())}", err=True)
 
 
@@ -365,7 +363,6 @@ def _fail(text: str, as_json: bool) -> None:
 
 
 def _words(error: Exception) -> str:
-    """Return the message of an exception, without numbers of the operating system."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror if error.filename is None else f"{error.strerror}: {error.filename!r}"
     if isinstance(error, MemoryError):
@@ -375,7 +372,6 @@ def _words(error: Exception) -> str:
 
 
 def _say(text: str, err: bool = False) -> None:
-    """Print any text on any terminal; characters that it cannot show become codes."""
     stream = sys.stderr if err else sys.stdout
     if stream is not None:
         code = getattr(stream, "encoding", None) or "utf-8"

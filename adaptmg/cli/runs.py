@@ -166,7 +166,6 @@ def _value(record: Record, name: str) -> object:
 
 
 def _holds(value: object, sign: str, text: str) -> bool:
-    """Whether a value meets a condition: as text, as a number, or as JSON (true, null, lists)."""
     plain = type(value) in (int, float)
     if sign in _ORDERED:
         return plain and _ORDERED[sign](value, float(text))
@@ -206,7 +205,6 @@ def write(table: pd.DataFrame, path: Path, units: Mapping[str, str] | None = Non
 
 
 def _plain(value: object) -> object:
-    """Return lists as JSON, texts as UTF-8 takes them."""
     if isinstance(value, tuple):
         return json.dumps(value)
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
@@ -221,7 +219,6 @@ def _of_one_type(column: pd.Series) -> pd.Series:
 
 
 def _latex(table: pd.DataFrame, units: Mapping[str, str] | None) -> str:
-    """Return a tabular of booktabs, numbers right-aligned."""
     headers, columns = cells(table, units)
     kinds = "".join("r" if numeric(column) else "l" for _, column in table.items())
     made = pd.DataFrame(dict(zip(headers, columns, strict=True)))

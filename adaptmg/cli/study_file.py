@@ -258,7 +258,6 @@ def checked(file: StudyFile, store: Path | None) -> Study:
 
 
 def _place(file: StudyFile, error: WrongSetting) -> str:
-    """Return the setting that a message names, or else its section."""
     places = {name: f"vary.{name}" if name in file.design.names else name for name in (*file.design.names, *file.fixed)
               if name.startswith(f"{error.place}.")}
     for part in (0, 1, -1):

@@ -139,7 +139,6 @@ def _lumped_masses(problem: ContactProblem, mesh: MeshArrays, facets: list[np.nd
 
 
 def _facing(obstacle: object, boundary: str, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Contact normals and gaps from an obstacle, with their shapes checked."""
     answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
         raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")

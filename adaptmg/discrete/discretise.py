@@ -155,7 +155,6 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
 
 
 def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
-    """Nodes of each body."""
     result = {}
     for k, name in enumerate(mesh.bodies):
         used = np.zeros(mesh.n_nodes, dtype=bool)

@@ -143,7 +143,6 @@ class Bisect:
 
 
 def _least(squares: np.ndarray, most: float) -> np.ndarray:
-    """Mask of the elements with the smallest squares, whose sum is at most ``most``."""
     order = np.argsort(squares, kind="stable")
     least = np.zeros(len(squares), dtype=bool)
     least[order] = np.cumsum(squares[order]) <= most

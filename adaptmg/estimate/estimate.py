@@ -121,7 +121,6 @@ class Estimate:
 
 
 def _checked_squares(name: str, squares: object) -> np.ndarray:
-    """A read-only copy."""
     try:
         values = np.asarray(squares)
     except (TypeError, ValueError):
@@ -247,5 +246,4 @@ def _share(theta: float) -> float:
 
 
 def _squares(estimate: Estimate | np.ndarray) -> np.ndarray:
-    """Squares of an estimate, or an array of them."""
     return estimate.squares if isinstance(estimate, Estimate) else _checked_squares("estimate", estimate)

@@ -182,7 +182,6 @@ class AdaptiveLoop:
 
     @one_blas_thread()
     def _carry(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, np.ndarray]:
-        """The hierarchy with the next mesh, and the displacement of the last step on it."""
         self._report("assembly", mesh.n_nodes)
         before = last.hierarchy
         with self.clock.phase("levels"):
@@ -239,7 +238,6 @@ class AdaptiveLoop:
         return self.steering
 
     def _restored(self, number: int, stored: StoredStep) -> Step:
-        """A step from the store."""
         hierarchy = self.meshes.take(number, stored.result.mesh, stored.extra, stored.levels)
         # one mesh for both, with its source
         result = replace(stored.result, mesh=hierarchy.finest.mesh)
@@ -253,7 +251,6 @@ class AdaptiveLoop:
         _LOG.debug("%s", step)
 
     def _report(self, phase: str, nodes: int) -> None:
-        """Report a phase to the user's callback."""
         if self.progress is None:
             return
         last = self.done[-1] if self.done else None

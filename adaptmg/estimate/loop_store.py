@@ -98,7 +98,6 @@ _ARRAYS = ("values", "errors", "residuals")
 
 
 def _plain_estimate(estimate: Estimate) -> dict[str, object]:
-    """All fields but ``squares``, as JSON has them."""
     kind = type(estimate) if type(estimate) in _KINDS.values() else Estimate
     return {"kind": kind.__name__} | {part.name: _plain(getattr(estimate, part.name)) for part in fields(kind)
                                       if part.name != "squares"}

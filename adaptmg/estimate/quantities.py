@@ -311,7 +311,6 @@ class Opening:
 
 
 def _nearest_facet(points: np.ndarray, facets: np.ndarray, x: np.ndarray) -> tuple[int, np.ndarray]:
-    """The facet that holds x best, and the barycentric weights (dim,) there, clipped to the facet."""
     corners = points[facets]
     sides = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
     inner = np.einsum("nij,nj->ni", np.linalg.pinv(sides), x - corners[:, 0])

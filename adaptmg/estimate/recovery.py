@@ -71,7 +71,6 @@ def recovered_stress(stress: ElementStress, across: np.ndarray) -> RecoveredStre
 
 
 def _sampled(stress: ElementStress) -> np.ndarray:
-    """Stress at the centroids, normal components first."""
     mesh, data, values, sampled = stress.mesh, stress.data, stress.values, np.empty((len(stress.values), 4))
     if not stress.axisymmetric:
         return values

@@ -124,7 +124,6 @@ class Remesh:
         return _resolving(mesh, sizes, problem.pair_boundaries, self._growth(mesh.dim))
 
     def _growth(self, dim: int) -> float:
-        """Growth of sizes per distance that the meshes can have."""
         return min(_GRADATION, _MAX_GRADING[dim] / 2**self.refinements)
 
     def intermediate(self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays) -> MeshArrays:
@@ -155,7 +154,6 @@ def need_domain(problem: ContactProblem) -> None:
 
 
 def _aim(nodes: int, max_nodes: int | None, growth: float) -> float:
-    """Nodes to aim at in the next mesh."""
     if max_nodes is None:
         return growth * nodes
     aim = _BELOW * checks.integer("max_nodes", max_nodes, 1)

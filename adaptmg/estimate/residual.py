@@ -178,7 +178,6 @@ def _friction(this: Posed, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """The values with a zero at the end."""
     return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
 
 

@@ -163,7 +163,6 @@ def _document(result: Result) -> bytes:
 
 
 def _field_data(result: Result) -> dict[str, np.ndarray]:
-    """The index of each body and contact boundary by name."""
     contact = result.contact
     masters = contact.masters or ("",) * len(contact.names)
     names = {f"body:{name}": k for k, name in enumerate(result.mesh.bodies)}

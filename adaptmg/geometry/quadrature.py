@@ -19,7 +19,6 @@ AXISYMMETRIC_DEGREE = 5
 
 
 def _rotations(*first: float) -> np.ndarray:
-    """All cyclic rotations of one barycentric point."""
     return np.stack([np.roll(first, k) for k in range(len(first))])
 
 

@@ -136,7 +136,6 @@ class ContactProblem:
                              f"{', '.join(map(repr, self.contact_boundaries))}: rename it")
 
     def _uses(self) -> dict[str, str]:
-        """What each boundary that the problem names is used for."""
         used = dict.fromkeys(self.pair_boundaries, "contact")
         used |= {load.boundary: "a load" for load in self.loads if isinstance(load, Pressure | Traction)}
         return used | {support.boundary: "a support" for support in self.supports if support.boundary is not None}
@@ -211,7 +210,6 @@ class ContactProblem:
 
 
 def _materials(material: object) -> dict[str, Elastic]:
-    """Materials by body, checked to belong to one problem."""
     if not isinstance(material, Mapping) or not material or not all(isinstance(m, Elastic) for m in material.values()):
         raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or map each body's name to "
                         f"one of them, got {checks.described(material)}")

@@ -63,7 +63,6 @@ def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> n
 
 
 def _with(law: _AnyLaw, name: str, values: np.ndarray) -> _AnyLaw:
-    """The law with other values, of the same class: a subclass may define its bounds."""
     result = copy.copy(law)
     object.__setattr__(result, name, values)
     return result

@@ -125,7 +125,6 @@ def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
 
 
 def _factors(name: str, value: Factors) -> np.ndarray:
-    """A finite array of no or one dimension."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0:
         return np.array(checks.quantity(name, value))
     result = np.array(check_arrays.vector(name, value))

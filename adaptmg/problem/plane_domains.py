@@ -392,7 +392,6 @@ class Outline(Domain):
                        boundaries=tuple(self.boundaries[i] for i in edges[outer]))
 
     def _extremes(self) -> np.ndarray:
-        """Vertices and the points of the arcs with horizontal or vertical tangents."""
         points = [np.array(self.vertices)]
         for i in self.arcs:
             arc = self.arc(i)

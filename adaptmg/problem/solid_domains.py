@@ -261,7 +261,6 @@ class Moved(SolidDomain):
         return self.solid.boundaries
 
     def _extremes(self) -> np.ndarray:
-        """The corners of the bounding box, moved."""
         ends = np.stack([self.solid.lower, self.solid.upper])
         corners = np.stack([ends[[i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
         turn, axis = math.radians(self.angle), np.array(self.axis)

@@ -495,7 +495,6 @@ class SparseSteps:
         return solution.unknowns + change
 
     def _prepare(self, equations: Linearised, matrix: sparse.bsr_array, released: np.ndarray, spring: float) -> None:
-        """Set up the linear solver, unless the matrix is the one of the last step."""
         key = (equations.key, spring)
         if equations.same_matrix and key == self._prepared_for:
             return

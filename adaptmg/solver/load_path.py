@@ -178,7 +178,6 @@ def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[st
 
 
 def _stored(k: int, result: Result) -> StepContent:
-    """A step for the store: the first has the mesh of all."""
     return StepContent(result if k == 0 else replace(result, mesh=None))
 
 
@@ -443,7 +442,6 @@ class PathLoop:
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
-    """The problem, if its loads have names on every level."""
     known = all(level.mesh is not None for level in grids.levels if level.discrete is not None)
     return grids.problem if known else None
 

@@ -100,7 +100,6 @@ def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[s
 
 
 def _plain(name: str, value: object) -> object:
-    """A value as JSON has it; numpy numbers, which a user-defined solver may leave, become Python's."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -230,7 +229,6 @@ def _groups(arrays: Arrays, found: set[str], labels: Mapping[str, tuple[str, ...
 
 
 def _checked(name: str, value: object, kind: object) -> Any:
-    """A value of the JSON text of a kind, see ``_TEXT``."""
     if isinstance(kind, dict):
         items = checks.instance(name, value, dict).items()
         return {key: _checked(f"{name}.{key}", part, kind[str]) for key, part in items}

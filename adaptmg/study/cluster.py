@@ -174,7 +174,6 @@ def _on_worker(order: bytes, point: Point, tries: int, name: str, topic: str) ->
 
 
 def _kill_worker(dask_worker: Nanny) -> None:
-    """Kill the process of a nanny, which starts another."""
     with contextlib.suppress(psutil.Error):
         psutil.Process(dask_worker.pid).kill()
 
@@ -278,7 +277,6 @@ class _Runs:
             self._client.run(_kill_worker, nanny=True, workers=busy, on_error="ignore")
 
     def _send(self) -> None:
-        """Send as many runs as there are free workers."""
         now = time.monotonic()
         if now - self._looked > 1.0:
             self._slots, self._looked = max(len(self._client.nthreads()), 1), now

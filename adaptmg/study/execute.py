@@ -133,7 +133,6 @@ def _reset_peak() -> None:
 
 
 def _peak_memory() -> int:
-    """Return the peak, bytes; 0 where the system does not say."""
     try:
         status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
         return 1024 * int(status.partition("VmHWM:")[2].split(maxsplit=1)[0])

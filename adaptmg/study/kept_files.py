@@ -165,5 +165,4 @@ class Folder:
 
 
 def _digest(content: bytes) -> str:
-    """Return the part of a file's name that stands for its content."""
     return hashlib.sha256(content).hexdigest()[:12]

@@ -60,7 +60,6 @@ class Record:
 
 
 def _scalar(value: object) -> object:
-    """Return numpy scalars, and arrays without an axis, as Python's numbers."""
     return value.item() if isinstance(value, np.generic | np.ndarray) and not value.ndim else value
 
 

@@ -88,7 +88,6 @@ class Store:
         self._opened = self._identity()
 
     def _prepare(self) -> None:
-        """Check that the file is a store; make the tables of an empty one."""
         self._connection.execute("PRAGMA synchronous = FULL")
         if not self._is_store():
             # one transaction: a second process sees an empty file or a store
@@ -128,7 +127,6 @@ class Store:
                              "file") from error
 
     def _identity(self) -> tuple[int, int] | None:
-        """Device and number of the file under the path."""
         try:
             found = None if self.path is None else self.path.stat()
         except OSError:
@@ -276,5 +274,4 @@ def _read(row: Sequence[Cell]) -> Record:
 
 
 def _object(text: Cell) -> dict[str, Scalar | list]:
-    """Return the content of a text of JSON, which must be an object."""
     return checks.instance("its JSON", json.loads(cast(str, text)), dict, "an object")

@@ -306,7 +306,6 @@ class Study:
                       peak_memory=outcome.peak_memory, tries=outcome.tries, commit=commit(), files=files)
 
     def _fingerprint(self) -> Fingerprint:
-        """Return what a run depends on now; a value that runs changed counts as the one before them."""
         found = fingerprint(self._function, self._depends)
         return Fingerprint({name: _LEFT.get((name, value), value) for name, value in found.parts.items()})
 
@@ -333,7 +332,6 @@ class Study:
 
 def _executor(workers: int | None, scheduler: str | Client | Cluster | None, runs: int
               ) -> contextlib.AbstractContextManager[Execute]:
-    """Return an executor in this process, or on dask, which is loaded only here."""
     if workers is None and scheduler is None:
         return contextlib.nullcontext(in_turn)
     from adaptmg.study.cluster import opened
@@ -350,7 +348,6 @@ def _check_run_function(run: RunFunction) -> None:
 
 
 def _check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Value]) -> None:
-    """Refuse names that are used twice, or that the function does not take."""
     for name in (*fixed, *names):
         if not isinstance(name, str):
             raise TypeError(f"the names of parameters must be strings, got {checks.shown(name)}")

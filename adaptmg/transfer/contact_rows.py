@@ -120,7 +120,6 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
 
 
 def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
-    """What the transfer returns, checked: kernels follow its indices."""
     returned, wanted = transfer.build(coarse, fine), (fine.n_nodes, coarse.n_nodes)
     if sparse.issparse(returned) and returned.shape != wanted:
         raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
@@ -151,7 +150,6 @@ def _check_bodies(nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays,
 
 def _along(coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarray
            ) -> tuple[np.ndarray, sparse.csr_array]:
-    """Nodes and their rows of interpolation along a boundary."""
     return nodes, surface_interpolation(coarse, fine, coarse.boundary_facets(boundary), nodes)
 
 

@@ -172,7 +172,6 @@ def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: spars
 
 
 def _prolongation(name: str, value: object) -> sparse.csr_array:
-    """One of a user's prolongations as csr, its indices and the size of its weights checked."""
     # a copy: duplicates are summed in place
     P = sparse.csr_array(check_arrays.sparse_matrix(name, value), dtype=np.float64, copy=True)
     P.sum_duplicates()

@@ -221,7 +221,6 @@ def _add_corrections(indptr, indices, data, points, centres, multiplier, scale):
 
 def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, moments: np.ndarray
                   ) -> tuple[sparse.csr_array, np.ndarray]:
-    """Change the entries of every row as little as possible so that it has the given moments."""
     n, dim = fine.points.shape
     gram, residual, scale = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1)), np.empty(n)
     scale[fine.elements] = fine.element_sizes[:, None]      # that of one of its elements will do

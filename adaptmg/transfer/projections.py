@@ -328,7 +328,6 @@ def _body_entries(locator: PointLocator, fine: MeshArrays, elements: np.ndarray)
 
 
 def _quadrature(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Entries of elements that stick out of the coarse mesh, by quadrature."""
     shape, weights = simplex_rule(fine.dim, 4)
     points = np.einsum("qv,evc->eqc", shape, fine.points[fine.elements[elements]])
     found = locator.locate(points.reshape(-1, fine.dim))

@@ -79,7 +79,6 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
 
 
 def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
-    """By the coupling that the pair asks for."""
     if pair.coupling == "nodes":
         return node_to_node(surfaces)
     return (mortar_2d if surfaces.points.shape[1] == 2 else mortar_3d)(surfaces, pair.reach)

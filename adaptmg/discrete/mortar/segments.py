@@ -77,7 +77,6 @@ def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.nda
 
 
 def _candidates(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray]:
-    """Slave and master edges whose bounding boxes say that a ray from the one may meet the other."""
     n, x = surfaces.normals[surfaces.slave], surfaces.points[surfaces.slave]
     mean = n.mean(axis=1)
     shortest = np.linalg.norm(mean, axis=1)[:, None, None]  # of n(s), for unit normals at the ends
