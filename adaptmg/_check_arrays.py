@@ -13,8 +13,6 @@ from scipy import sparse
 
 from adaptmg._checks import real_array, shown
 
-__all__ = ["array", "direction", "indices_frozen", "narrowed", "sparse_matrix", "square_blocks", "vector"]
-
 _COMPRESSED = ("csr", "csc", "bsr")
 Compressed = sparse.csr_array | sparse.csc_array | sparse.bsr_array
 _Compressed = TypeVar("_Compressed", sparse.csr_array, sparse.csc_array, sparse.bsr_array)

@@ -18,8 +18,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["make_folder", "waiting_folder", "write_bytes"]
-
 _OLD = 86400.0  # s: temporary files of this age belong to no living process
 _STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
 _cleaned: set[Path] = set()

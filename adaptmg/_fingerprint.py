@@ -39,8 +39,6 @@ from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 
 import numpy as np
 
-__all__ = ["PACKAGES", "Fingerprint", "environment", "fingerprint", "value_parts"]
-
 #: on which the results of adaptmg depend, with itself
 PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
 _COMPILED = tuple(importlib.machinery.EXTENSION_SUFFIXES)

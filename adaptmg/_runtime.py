@@ -34,9 +34,6 @@ from numba.core.registry import CPUDispatcher
 if TYPE_CHECKING:
     from threadpoolctl import LibController, ThreadpoolController
 
-__all__ = ["OnDemand", "inner_kernel", "kernel", "made_on_demand", "one_blas_thread", "read_only", "remembered",
-           "say", "seeded"]
-
 _LOG = logging.getLogger(__name__)
 
 

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["MOST", "brief", "html_table", "in_html", "in_html_lines", "printable", "shortened"]
-
 #: characters of a repr
 MOST = 400
 

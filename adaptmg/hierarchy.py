@@ -34,8 +34,6 @@ from adaptmg.problem import ContactPair, ContactProblem
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
-__all__ = ["Hierarchy", "Level"]
-
 T = TypeVar("T")
 Divisions = int | tuple[int, ...]
 

@@ -24,9 +24,6 @@ from adaptmg.problem import ContactProblem
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
-__all__ = ["Level", "check_coarse_to_fine", "joined", "level_of", "need_domain", "reposed", "the_transfer",
-           "touches_alike"]
-
 
 @dataclass(frozen=True, eq=False)
 class Level:

@@ -43,8 +43,6 @@ from adaptmg.problem import (
 if TYPE_CHECKING:
     from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["incline", "leaning_strut", "patch_mesh", "two_block_patch"]
-
 _STEEPEST = 30.0
 
 

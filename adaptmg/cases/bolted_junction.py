@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from adaptmg.solver.contact_result import ContactResult
     from adaptmg.solver.result import Result
 
-__all__ = ["Flanges", "bolt_force", "bolted_junction", "joint_opening", "junction_path", "open_to", "sealing_pressure"]
-
 _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
            "nothing published stands behind them.")
 

@@ -37,8 +37,6 @@ from adaptmg.problem import (
     Traction,
 )
 
-__all__ = ["PartialSlip", "cattaneo", "cattaneo_path"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PartialSlip:

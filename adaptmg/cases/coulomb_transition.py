@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from adaptmg.estimate.reference_error import EnergyError
     from adaptmg.solver.result import Result
 
-__all__ = ["DisplacementComponent", "TractionComponent", "TransitionField", "coulomb_transition", "transition_exponent",
-           "transition_mode"]
-
 
 def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign: str = "+",  # noqa: B008
                        pressure: float = 1e8, young: float = 1.3e11, poisson: float = 0.2) -> ContactProblem:

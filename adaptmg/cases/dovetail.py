@@ -38,8 +38,6 @@ from adaptmg.problem import (
     Traction,
 )
 
-__all__ = ["dovetail"]
-
 _MM = 1e-3
 _NECK, _RISE, _DEPTH, _CHAMFER = 12.0, 24.0, 16.0, 3.0
 _SIDE, _BOTTOM = 36.0, 40.0

@@ -37,8 +37,6 @@ from adaptmg.problem import (
 if TYPE_CHECKING:
     from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["PunchPressure", "flat_punch", "flat_punch_meshes", "point_meshes"]
-
 # depth and half the width of the block, in half-widths of the punch
 _SIZE = 40.0
 

@@ -35,8 +35,6 @@ from adaptmg.problem import (
     Support,
 )
 
-__all__ = ["ParabolicGap", "curved_obstacle", "greco_bar", "greco_block", "upset_block"]
-
 _POINTS = {"A": (0.0, 0.0), "B": (1.25e-3, 0.0), "C": (5e-3, 0.0), "D": (7.5e-3, 0.0), "E": (11.25e-3, 0.0)}
 _SSNV128 = {"A": 2.86e-5, "B": 2.72e-5, "C": 2.28e-5, "D": 1.98e-5, "E": 1.50e-5}
 _CONVERGED = {"A": 2.860321e-5, "B": 2.722589e-5, "C": 2.286829e-5, "D": 1.980758e-5, "E": 1.541403e-5}

@@ -44,9 +44,6 @@ from adaptmg.problem.solid_domains import Revolution
 if TYPE_CHECKING:
     from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["HertzContact", "LineContact", "PointContact", "hertz_cylinder", "hertz_sphere", "line_contact_meshes",
-           "pressure_fit"]
-
 # the largest half-width over the smallest radius
 _LARGEST = 0.1
 # lengths of the surfaces that may touch, in half-widths; the master reaches further than the slave

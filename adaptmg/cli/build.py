@@ -31,10 +31,6 @@ from adaptmg.problem.plane_domains import Domain
 from adaptmg.solver.record import Solver
 from adaptmg.study.record import Value
 
-__all__ = ["METHODS", "OBJECTS", "PURPOSE", "SETTINGS", "Key", "Settings", "WrongSetting", "adaptation", "case_keys",
-           "check", "from_texts", "grids", "keys_of", "load_path", "name_of", "problem_of", "section", "sections",
-           "sensible_grids", "setting", "solver_of"]
-
 Settings = Mapping[str, Value]
 #: keyword arguments of a class or function, and what makes an object or a problem from them
 Arguments = dict[str, Any]

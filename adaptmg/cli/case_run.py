@@ -17,8 +17,6 @@ from adaptmg.study.record import Scalar, Value
 if TYPE_CHECKING:
     from adaptmg.solver.result import Result
 
-__all__ = ["COLUMNS", "MEASURES", "Solved", "case_run", "solved", "units_of"]
-
 #: the measures of a file without [measure]
 COLUMNS = ("cycles", "work_units", "residual", "nodes")
 

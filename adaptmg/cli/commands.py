@@ -22,8 +22,6 @@ from typing import TextIO
 from adaptmg import __version__
 from adaptmg._text import printable
 
-__all__ = ["main"]
-
 _STORED = "finished runs are stored, the same command goes on"
 #: sections of a study file whose keys are the options of a command
 _SECTIONS = {"solve": ("case", "hierarchy", "solver"), "adapt": ("case", "adapt")}

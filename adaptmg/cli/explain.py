@@ -12,8 +12,6 @@ from adaptmg.cli.build import PURPOSE, Key, case_keys, sections, sensible_grids
 from adaptmg.cli.case_run import MEASURES
 from adaptmg.problem.load_path import names_in_path
 
-__all__ = ["about_case", "case_facts", "key_facts", "keys", "template"]
-
 
 def keys() -> str:
     """Return all sections, keys and measures of a study file as text."""

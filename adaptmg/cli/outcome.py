@@ -18,8 +18,6 @@ from adaptmg.cli.output import finite
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["folder", "loop_summary", "summary", "write"]
-
 
 def summary(result: am.Result, files: list[Path]) -> dict[str, object]:
     """Return a result as JSON takes it."""

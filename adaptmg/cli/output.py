@@ -14,8 +14,6 @@ import numpy as np
 
 from adaptmg.study.tables import as_text, cells
 
-__all__ = ["finite", "lines", "printed", "rows", "watched", "watched_loop"]
-
 
 def finite(value: object) -> object:
     """Return plain values for JSON: numbers that are not finite become None, tuples lists."""

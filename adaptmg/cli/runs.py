@@ -17,8 +17,6 @@ from adaptmg.study.record import DETAILS, RESERVED, Record, frame
 from adaptmg.study.store import Store
 from adaptmg.study.tables import cells, numeric
 
-__all__ = ["chosen", "ending", "opened", "parsed", "report", "selected", "short", "units", "write"]
-
 Condition = tuple[str, str, str]
 
 

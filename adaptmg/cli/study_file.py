@@ -28,8 +28,6 @@ from adaptmg.study import Grid, LatinHypercube, Random, Repeated, Sobol, Study, 
 from adaptmg.study.designs import Design
 from adaptmg.study.record import Value
 
-__all__ = ["StudyFile", "check_options", "checked", "plan", "read", "summary", "table", "unsolved", "warm"]
-
 #: bytes of a study file at most
 _MOST = 1_000_000
 _DESIGNS = {"grid": Grid, "zip": Zip, "random": Random, "latin-hypercube": LatinHypercube, "sobol": Sobol}

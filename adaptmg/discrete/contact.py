@@ -30,8 +30,6 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.surfaces import ContactPair
 
-__all__ = ["contact_data"]
-
 _ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
 
 

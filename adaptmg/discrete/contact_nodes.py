@@ -16,8 +16,6 @@ from adaptmg._text import brief
 from adaptmg.problem.contact_problem import CONTACT
 from adaptmg.problem.laws import Law
 
-__all__ = ["SMALLEST", "ContactNodes", "bounded", "check_bounds", "check_size", "checked_bodies", "checked_mask",
-           "checked_matrix", "with_positive_diagonal"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactNodes:

@@ -33,9 +33,6 @@ from scipy import sparse
 from adaptmg._check_arrays import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
 
-__all__ = ["NEGLIGIBLE", "Coupling", "Unknowns", "facing_part", "frames_of", "from_frames", "rotate", "rotate_back",
-           "to_frames"]
-
 #: the largest weight that counts as none
 NEGLIGIBLE = 1e-6
 _ROUNDING = 1e-13

@@ -27,8 +27,6 @@ from adaptmg.discrete.springs import supported_stiffness
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
 
-__all__ = ["discretise", "rediscretise", "same"]
-
 _LOG = logging.getLogger(__name__)
 
 

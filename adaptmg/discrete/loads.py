@@ -23,7 +23,6 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import BodyForce, InitialStrain, Load, Pressure, Traction
 from adaptmg.problem.materials import Elastic, PlaneStress
 
-__all__ = ["body_elements", "initial_strain_load", "load_density", "load_vector", "mean_initial_strain"]
 
 def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | None = None) -> np.ndarray:
     """Nodal forces (n_dofs,) of all loads; dual, dof = dim * node + component.

@@ -43,8 +43,6 @@ from adaptmg.discrete.rigid_modes import rigid_body_modes
 from adaptmg.problem.contact_problem import check_law
 from adaptmg.problem.laws import Law
 
-__all__ = ["ContactNodes", "DiscreteProblem", "rigid_body_modes"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DiscreteProblem(Unknowns):

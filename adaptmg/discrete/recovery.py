@@ -15,8 +15,6 @@ from adaptmg._runtime import inner_kernel, kernel, read_only
 from adaptmg.discrete.elasticity import list_elements
 from adaptmg.mesh.arrays import MeshArrays, facet_table
 
-__all__ = ["apart", "elements_of_nodes", "fitted", "recovered"]
-
 
 def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Elements and points, a point for each body that uses a node."""

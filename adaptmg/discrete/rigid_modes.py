@@ -13,7 +13,6 @@ from scipy.sparse.csgraph import connected_components
 from adaptmg._runtime import one_blas_thread
 from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["rigid_body_modes", "rigid_motions"]
 
 def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
     """Orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an uncoupled problem.

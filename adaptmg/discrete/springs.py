@@ -20,8 +20,6 @@ from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadr
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import AnySupport, PointSpring, Spring
 
-__all__ = ["foundation", "moment", "spring_resultants", "supported_stiffness"]
-
 
 def foundation(spring: Spring, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Stiffness per area (n_facets, n_points, dim, dim), N/m^3, at points of facets with these unit normals."""

@@ -36,8 +36,6 @@ from adaptmg.solver.record import Run
 from adaptmg.solver.result import Result
 from adaptmg.transfer.galerkin import galerkin_product
 
-__all__ = ["AdjointSolution", "AdjointSystem", "LinearisedContact", "adjoint_system", "linearised_contact"]
-
 _LOG = logging.getLogger(__name__)
 
 #: slips below this part of the largest displacement are rounding

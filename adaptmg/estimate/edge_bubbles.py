@@ -50,8 +50,6 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import BodyForce, InitialStrain, Spring
 from adaptmg.smoother.system import ContactState as State
 
-__all__ = ["BubbleError", "BubbleSpaces", "EdgeBubbles", "bubble_error", "bubble_spaces", "edge_bubbles"]
-
 _LOG = logging.getLogger(__name__)
 
 #: corners of the edges of an element

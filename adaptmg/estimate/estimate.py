@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from adaptmg.hierarchy import Hierarchy
     from adaptmg.solver.result import Result
 
-__all__ = ["Doerfler", "Estimate", "Indicator", "Mark", "Maximum", "estimate_of", "marks_of"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:

@@ -32,8 +32,6 @@ from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.examine import energy_norm
 from adaptmg.solver.result import Result
 
-__all__ = ["Goal"]
-
 #: dofs up to which the adjoint problems are solved directly
 DIRECT = 3000
 #: a signed error smaller than this part of the sum of marks is chance

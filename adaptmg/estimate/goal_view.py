@@ -16,8 +16,6 @@ from adaptmg.estimate.edge_bubbles import EdgeBubbles
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import Posed
 
-__all__ = ["Functional", "GoalEstimate", "GoalView", "Quantity", "checked_functionals"]
-
 
 @dataclass(frozen=True, eq=False)
 class GoalView:

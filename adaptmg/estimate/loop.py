@@ -47,8 +47,6 @@ from adaptmg.solver.result import Result
 from adaptmg.solver.solve import solve
 from adaptmg.transfer.interpolation import size_ratio
 
-__all__ = ["AdaptiveLoop", "Parts", "Progress", "appended", "carried", "posed_at", "solved", "thinned"]
-
 _LOG = logging.getLogger(__name__)
 
 Progress = Callable[[dict[str, float | str]], None]

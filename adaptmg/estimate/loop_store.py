@@ -30,8 +30,6 @@ from adaptmg.solver.result import Result
 from adaptmg.solver.result_file import damage
 from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
 
-__all__ = ["LoopStore", "Meshes", "StoredStep", "loop_fingerprint"]
-
 Key = tuple[int, int]
 _MESH = ("points", "elements", "facets", "facet_labels", "element_body")
 

@@ -28,8 +28,6 @@ from adaptmg.mesh.bisection.onto_domain import curved_boundaries, on_surface
 from adaptmg.problem import ContactPair
 from adaptmg.transfer import PointLocator
 
-__all__ = ["ContactForce", "Displacement", "MeanDisplacement", "Opening"]
-
 _AXES = {"x": 0, "y": 1, "z": 2}
 #: how far outside its element a point may lie, over the size of the element
 _OUTSIDE = 1e-6

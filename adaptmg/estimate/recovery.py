@@ -21,8 +21,6 @@ from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.result import Result
 
-__all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"]
-
 
 @dataclass(frozen=True)
 class Recovery:

@@ -33,8 +33,6 @@ from adaptmg.problem.loads import PointSupport
 from adaptmg.solver.result import Result
 from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
 
-__all__ = ["EnergyError", "Reference", "energy_error"]
-
 #: of the largest force: less is what the solver leaves at free nodes
 _IDLE = 1e-12
 #: of the energy: the accuracy of its differences, with solutions to a relative 1e-8

@@ -33,9 +33,6 @@ from adaptmg.geometry.location import SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
 
-__all__ = ["NodeCount", "Remesh", "SizeField", "equilibrated_sizes", "graded_sizes", "mean_sizes", "nodal_sizes",
-           "simplex_sizes"]
-
 #: growth of sizes per distance; at most what Netgen copes with by dimension, in refined meshes 2^k times less
 _GRADATION, _MAX_GRADING = 0.3, {2: 1.0, 3: 0.6}
 #: share of the nodes by which a mesh may miss the expected number without being made again

@@ -39,8 +39,6 @@ from adaptmg.problem.loads import BodyForce, Load, Pressure, Spring, Traction
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
 
-__all__ = ["Residual", "boundary_squares", "condition_squares", "jump_squares", "volume_squares"]
-
 
 @dataclass(frozen=True)
 class Residual:

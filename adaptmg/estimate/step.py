@@ -26,9 +26,6 @@ from adaptmg.solver.result import Result
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Engine", "Limits", "Step", "algebraic_tolerance", "expected_estimate", "expected_seconds", "settled",
-           "sound_mesh"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:

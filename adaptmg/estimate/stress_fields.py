@@ -25,8 +25,6 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.examine import energy_norm, euclidean_norm
 from adaptmg.solver.result import Result
 
-__all__ = ["ElementStress", "Neighbours", "Posed", "element_stress", "neighbours", "posed"]
-
 _THIN = 1
 
 

@@ -34,8 +34,6 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
 from adaptmg.solver.result import versions
 
-__all__ = ["LARGEST", "matrix", "petsc"]
-
 MATRIX, VECTOR, INDEX_SET = 1211216, 1211214, 1211218
 #: the largest integer of a PETSc with 32-bit indices
 LARGEST = 2**31 - 1

@@ -24,9 +24,6 @@ import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel
 
-__all__ = ["MOMENTS", "PIECES", "ROOM", "SNAP", "add_visible", "clip", "common_moments", "keep_left", "polygon_moments",
-           "separated"]
-
 PIECES = 32
 """Room for pieces on the stack. A half-space splits a tetrahedron along a path of at most 3 bisections, which leave one
 piece waiting each: 4 half-spaces need 13."""

@@ -14,7 +14,6 @@ import numpy as np
 from adaptmg._runtime import inner_kernel, kernel, read_only
 from adaptmg.geometry.search import STACK, BoxTree, leaf_range, morton_order, nearest_simplex, padded
 
-__all__ = ["INSIDE", "Location", "SimplexLocator", "affine_maps", "locate"]
 
 @dataclass(frozen=True, eq=False)
 class Location:

@@ -18,9 +18,6 @@ import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel
 
-__all__ = ["STACK", "BoxTree", "bounding_box", "closest_on_simplex", "leaf_range", "meet_turned", "morton_order",
-           "nearest_simplex", "overlapping", "padded"]
-
 LEAF_SIZE = 4
 """Largest number of simplices in a leaf."""
 

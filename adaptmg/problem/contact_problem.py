@@ -14,8 +14,6 @@ from adaptmg.problem.materials import Axisymmetric, Elastic
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
 
-__all__ = ["CONTACT", "Contact", "ContactProblem", "check_law"]
-
 CONTACT = "contact"  # name of all contact boundaries together
 _MOST_STIFFER = 1e15  # between the Young's moduli of two bodies
 _LOADS = (Pressure, Traction, BodyForce, InitialStrain)

@@ -21,8 +21,6 @@ from numpy.typing import ArrayLike
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 
-__all__ = ["Coulomb", "Frictionless", "Law", "Tresca"]
-
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
 _AnyLaw = TypeVar("_AnyLaw")
 

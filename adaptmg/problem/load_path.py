@@ -16,8 +16,6 @@ from adaptmg._text import brief
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSupport, Pressure, Support
 
-__all__ = ["BODY_FORCE", "DEFAULT", "LoadPath", "Scaled", "name_in_path", "names_in_path", "step_problem"]
-
 BODY_FORCE = "body force"  # name of body forces that act on all bodies
 DEFAULT = "default"  # name of all loads together, where no ContactProblem names them
 

@@ -15,8 +15,6 @@ import numpy as np
 
 from adaptmg.problem.plane_domains import Arc, Outline, Segment
 
-__all__ = ["combined"]
-
 _ROUND = 1e-12  # of the extent: points nearer to each other are one
 _PARALLEL = 1e-12
 

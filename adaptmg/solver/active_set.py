@@ -44,9 +44,6 @@ from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.transfer.galerkin import without_fixed
 
-__all__ = ["ActiveSet", "CondensedSteps", "SparseSteps", "coarsest_solution", "glued_system", "linearise",
-           "local_near_nullspace"]
-
 _LOG = logging.getLogger(__name__)
 
 

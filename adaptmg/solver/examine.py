@@ -27,8 +27,6 @@ from adaptmg.solver.aggregates import Aggregates
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
 
-__all__ = ["ROUNDING", "Examined", "Examiner", "Sizes", "displacement_norm", "energy_norm", "euclidean_norm"]
-
 
 @dataclass(frozen=True, eq=False)
 class Examined:

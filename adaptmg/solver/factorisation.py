@@ -27,7 +27,6 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from adaptmg.smoother.system import LocalProblem, LocalSystem, turn_held
 
-__all__ = ["Condensed", "OrderedFactors", "condense", "dofs_of", "nested_dissection", "node_graph"]
 
 def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
     """The dofs of nodes in turn, ``size`` each."""

@@ -21,8 +21,6 @@ from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
 from adaptmg.solver.record import Run, Status
 
-__all__ = ["ChangeTest", "IterateTest", "Iteration", "StopTest", "iterate", "true_error"]
-
 
 class Iteration(Protocol):
     """What a method offers to the loop; it holds its unknowns."""

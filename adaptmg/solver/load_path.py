@@ -44,8 +44,6 @@ from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["PathLoop", "PathResult", "StepNotConverged", "solve_path", "step_solver"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathResult(Sequence[Result]):

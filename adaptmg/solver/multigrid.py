@@ -21,8 +21,6 @@ from adaptmg.solver.projected import ProjectedMultigrid, ProjectedRun
 from adaptmg.solver.record import Outcome, Run
 from adaptmg.solver.truncated import Truncated, TruncatedMultigrid, TruncatedRun
 
-__all__ = ["CustomCycles", "FullMultigrid", "Method", "Multigrid", "WarmMultigrid"]
-
 
 class Method(Protocol):
     """One run of a multigrid method."""

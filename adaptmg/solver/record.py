@@ -15,8 +15,6 @@ from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.examine import Examined
 
-__all__ = ["Outcome", "Run", "Solver", "Status"]
-
 
 class Status(Enum):
     """How a solver ended; the value is advice.

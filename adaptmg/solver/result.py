@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from adaptmg.geometry.location import Location
 
-__all__ = ["ContactResult", "NotConverged", "Result", "label", "problem_name", "versions"]
 
 @dataclass(frozen=True, eq=False)
 class Result:

@@ -30,8 +30,6 @@ from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.record import Status
 
-__all__ = ["damage", "read_arrays", "read_result", "write_result"]
-
 Arrays = dict[str, np.ndarray]
 
 _FORMAT = 1

@@ -31,8 +31,6 @@ from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result, label, problem_name, versions
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
 
-__all__ = ["checked_outcome", "displacement_argument", "grids_argument", "method_argument", "result_of", "solve"]
-
 _LOG = logging.getLogger(__name__)
 
 

@@ -34,9 +34,6 @@ from adaptmg.solver.advice import advise
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.factorisation import condense
 
-__all__ = ["check_statics", "check_statics_of", "critical_friction", "warn_of_large_friction",
-           "warn_of_several_solutions"]
-
 _LOG = logging.getLogger(__name__)
 
 _UNBALANCED = 1e-6  # share of the load that counts as not held

@@ -32,8 +32,6 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_file import damage, read_result, write_result
 
-__all__ = ["StepContent", "StepStore", "differences", "fingerprint"]
-
 _FORMAT = 3
 #: the head of a path of a million steps has some 20 MB
 _MOST_BYTES = 2**28

@@ -36,8 +36,6 @@ from adaptmg.solver.projected import ProjectedMultigrid, ProjectedRun, need_leve
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.solver.truncated_iteration import TruncatedIteration
 
-__all__ = ["Fallback", "Truncated", "TruncatedMultigrid", "TruncatedRun"]
-
 _LOG = logging.getLogger(__name__)
 
 

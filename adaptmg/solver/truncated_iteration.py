@@ -19,8 +19,6 @@ from adaptmg.solver.examine import Sizes
 from adaptmg.solver.iterate import StopTest, true_error
 from adaptmg.solver.record import Run, Status
 
-__all__ = ["TruncatedIteration"]
-
 
 class TruncatedIteration(StopTest):
     """Cycles on one level, measured after the smoothing, and their test; see :func:`~adaptmg.solver.iterate.iterate`.

@@ -59,8 +59,6 @@ from adaptmg.study.execute import (
     sent,
 )
 
-__all__ = ["OnCluster", "check_workers", "dask_setup", "local_cluster", "opened"]
-
 _log = logging.getLogger(__name__)
 
 #: starts of a run until it counts as failed, as workers died

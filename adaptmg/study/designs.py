@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
     from adaptmg.study.store import Store
 
-__all__ = ["MOST", "Design", "Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Zip", "as_design",
-           "extended", "stored_design"]
-
 #: points of a design: some GB of rows
 MOST = 2_000_000
 

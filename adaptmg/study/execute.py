@@ -28,9 +28,6 @@ from adaptmg._text import printable
 from adaptmg.study.kept_files import Packed, pack
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, plain_results
 
-__all__ = ["Execute", "Finished", "Order", "Point", "RunFunction", "Task", "UnfitWorker", "commit", "compute",
-           "error_text", "identity", "in_turn", "perform", "readied", "sent"]
-
 Point = dict[str, Value]
 RunFunction = Callable[..., Mapping[str, object]]
 

@@ -23,9 +23,6 @@ from adaptmg._fingerprint import Fingerprint
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["DETAILS", "RESERVED", "Record", "Scalar", "StudyStatus", "Value", "bounded", "canonical", "frame",
-           "parameter_value", "plain_results", "reasons", "restored"]
-
 Scalar = bool | int | float | str | None
 Value = Scalar | tuple["Value", ...]
 

@@ -25,8 +25,6 @@ from adaptmg._files import make_folder
 from adaptmg._text import printable
 from adaptmg.study.record import Record, Scalar, Value, canonical, restored
 
-__all__ = ["Store"]
-
 Cell = str | int | float
 _FORMAT = 2
 #: columns of ``runs`` after the study, in the order of the table; for each the attribute of a record and its type

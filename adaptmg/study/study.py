@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 
     Kept = np.ndarray | MeshArrays | Result | str | Path
 
-__all__ = ["Study", "Watch", "in_order"]
-
 _log = logging.getLogger("adaptmg.study")
 Cost = Callable[[Point], float] | str
 Progress = bool | Callable[["Watch"], None] | None

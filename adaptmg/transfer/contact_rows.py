@@ -34,8 +34,6 @@ from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.transfer.interpolation import Transfer, csr_from_weights, nodes_of_bodies
 
-__all__ = ["LevelTransfer", "between_levels", "surface_interpolation", "with_contact_rows"]
-
 
 def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_facets: np.ndarray,
                           fine_nodes: np.ndarray) -> sparse.csr_array:

@@ -16,8 +16,6 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import kernel, one_blas_thread, read_only, seeded
 
-__all__ = ["aggregated_prolongations", "coarse_spaces", "galerkin_product", "is_galerkin", "seen", "without_fixed"]
-
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
 
 

@@ -29,9 +29,6 @@ from adaptmg._runtime import kernel
 from adaptmg.geometry.location import Location, SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays, longest_edges
 
-__all__ = ["CLIP", "OUTSIDE_TOLERANCE", "Interpolation", "PointLocator", "Transfer", "body_locators", "clipped_rows",
-           "csr_from_weights", "dropped", "locate_nodes", "mesh_ratio", "nodes_of_bodies", "size_ratio"]
-
 
 @runtime_checkable
 class Transfer(Protocol):

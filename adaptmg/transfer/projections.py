@@ -38,9 +38,6 @@ from adaptmg.transfer.interpolation import (
     nodes_of_bodies,
 )
 
-__all__ = ["L2", "LumpedL2", "MixedMass", "Patches", "PseudoL2", "QuasiInterpolation", "clip_elements", "count_rows",
-           "fill_rows", "mixed_mass"]
-
 Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
 
 

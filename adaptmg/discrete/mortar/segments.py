@@ -39,8 +39,6 @@ from adaptmg._runtime import kernel
 from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, nothing_covered
 from adaptmg.geometry.search import BoxTree
 
-__all__ = ["SHORTEST", "distance_along_normal", "mortar_2d", "nearest_pieces"]
-
 _LEAST_COVERED = 1e-3  # of a facet: less is left out
 _NEGLIGIBLE = 1e-13  # of the largest weight in a row of B
 _GAUSS = np.polynomial.legendre.leggauss(4)

@@ -42,8 +42,6 @@ from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, 
 from adaptmg.geometry.clipping import MOMENTS, ROOM, add_visible, clip, polygon_moments, separated
 from adaptmg.geometry.search import BoxTree
 
-__all__ = ["common_moments", "mortar_3d"]
-
 _LEAST_COVERED = 1e-6  # of a facet: less is left out
 _NEGLIGIBLE = 1e-13  # of the largest entry in a row of B, and of the area around a node
 _GRAZING = 1e-2  # a master facet faces a slave facet if it leans towards its normal by more than this angle (rad)
