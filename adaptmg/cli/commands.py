@@ -169,9 +169,9 @@ def _cases(given: Namespace) -> None:
     from adaptmg.cases import CASES
 
     if given.case is not None:
-        from adaptmg.cli import explain
+        from adaptmg.cli import study_file
 
-        _print_json(explain.case_facts(given.case)) if given.json else _say(explain.about_case(given.case))
+        _print_json(study_file.case_facts(given.case)) if given.json else _say(study_file.about_case(given.case))
     elif given.json:
         _print_json([{"name": name, "description": case.description} for name, case in CASES.items()])
     else:
@@ -180,16 +180,15 @@ def _cases(given: Namespace) -> None:
 
 
 def _solve(given: Namespace) -> int:
-    from adaptmg.cli import case_run, outcome
-    from adaptmg.cli.output import watched
+    from adaptmg.cli import case_run, output
 
-    folder, settings = outcome.folder(given.out), _settings(given)
-    with watched() as callback:
+    folder, settings = output.folder(given.out), _settings(given)
+    with output.watched() as callback:
         solved = case_run.solved(settings, callback)
-    files = outcome.write(folder, solved)
+    files = output.write(folder, solved)
     result = solved.result
     if given.json:
-        _print_json(outcome.summary(result, files))
+        _print_json(output.summary(result, files))
     else:
         _say("\n".join([str(solved.grids), "", str(result), *(f"wrote {file}" for file in files)]))
     if not result.status.ok:
@@ -198,38 +197,35 @@ def _solve(given: Namespace) -> int:
 
 
 def _adapt(given: Namespace) -> None:
-    from adaptmg.cli import case_run, outcome
-    from adaptmg.cli.output import watched_loop
+    from adaptmg.cli import case_run, output
     from adaptmg.estimate.step import Step
 
-    folder, settings = outcome.folder(given.out), _settings(given)
+    folder, settings = output.folder(given.out), _settings(given)
     waiting: list[str] = []
-    with watched_loop() as progress:
+    with output.watched_loop() as progress:
         # lines would run into the bar: they wait until it ends
         say = waiting.append if given.json or progress is not None else _say
         say(Step.HEADER)
         solved = case_run.solved(settings, progress, each=lambda step: say(step.row), store=given.store)
-    files = outcome.write(folder, solved)
+    files = output.write(folder, solved)
     if given.json:
-        _print_json(outcome.loop_summary(solved.steps, files))
+        _print_json(output.loop_summary(solved.steps, files))
     else:
         _say("\n".join([*waiting, solved.steps[-1].outcome, "", str(solved.result),
                         *(f"wrote {file}" for file in files)]))
 
 
 def _study(given: Namespace) -> int:
-    if given.keys or given.template is not None:
-        from adaptmg.cli import explain
+    from adaptmg.cli import study_file
 
+    if given.keys or given.template is not None:
         if given.json:
-            _print_json(explain.key_facts() if given.keys else {"template": explain.template(given.template)})
+            _print_json(study_file.key_facts() if given.keys else {"template": study_file.template(given.template)})
         else:
-            _say(explain.keys() if given.keys else explain.template(given.template))
+            _say(study_file.keys() if given.keys else study_file.template(given.template))
         return 0
     if given.file is None:
         raise ValueError("give a file: adaptmg study FILE.toml; --template CASE prints one to begin with")
-    from adaptmg.cli import study_file
-
     described = study_file.read(given.file)
     options = {**described.options, "rerun": given.rerun, "retry_failed": given.retry_failed}
     if given.workers is not None or given.scheduler is not None:

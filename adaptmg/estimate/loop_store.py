@@ -19,7 +19,7 @@ import numpy as np
 
 from adaptmg.discrete.load_steps import load_steps
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.goal_view import GoalEstimate
+from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level, joined, level_of, the_transfer
 from adaptmg.mesh.arrays import MeshArrays

@@ -23,7 +23,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
-from adaptmg.estimate.goal_view import Functional, GoalView
+from adaptmg.estimate.goal import Functional, GoalView
 from adaptmg.mesh.bisection.onto_domain import curved_boundaries, on_surface
 from adaptmg.problem import ContactPair
 from adaptmg.transfer import PointLocator

@@ -15,7 +15,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.goal_view import GoalEstimate
+from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.soundness import check_mesh
