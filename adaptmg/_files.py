@@ -24,11 +24,9 @@ _cleaned: set[Path] = set()
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file, so that no reader ever sees half of it, not even after a power cut.
-
-    Symbolic links are followed and ``~`` is expanded. An existing file keeps its permissions, a new one gets those of
-    the umask. Devices and pipes are written to.
-    """
+    """Write a file, so that no reader ever sees half of it, not even after a power cut. Symbolic links are followed and
+    ``~`` is expanded. An existing file keeps its permissions, a new one gets those of the umask. Devices and pipes are
+    written to."""
     path = Path(path).expanduser()
     target = Path(os.path.realpath(path))
     try:

@@ -21,9 +21,7 @@ _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufd
 
 def printable(text: str) -> str:
     """A text that every file format and terminal takes: control characters, lone surrogates and noncharacters as codes.
-
-    Line breaks and tabs stay. Of XML 1.0 and HTML both, nothing else than this is refused (but for markup).
-    """
+    Line breaks and tabs stay. Of XML 1.0 and HTML both, nothing else than this is refused (but for markup)."""
     return _UNPRINTABLE.sub(lambda match: match[0].encode("ascii", "backslashreplace").decode()
                             if ord(match[0]) > 127 else f"\\x{ord(match[0]):02x}", text)
 
@@ -54,10 +52,8 @@ def shortened(text: str) -> str:
 
 
 def brief(self: Any) -> str:
-    """The ``__repr__`` of a dataclass: as Python writes it where it is short; values on demand are not made.
-
-    Arrays are shown by their shapes. Where it is long, defaults, then what long values hold, are left out.
-    """
+    """The ``__repr__`` of a dataclass: as Python writes it where it is short; values on demand are not made. Arrays are
+    shown by their shapes. Where it is long, defaults, then what long values hold, are left out."""
     held = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
     defaults = [one.default_factory() if one.default_factory is not MISSING else one.default for one, _ in held]
     changed = [pair for pair, default in zip(held, defaults, strict=True) if repr(pair[1]) != repr(default)]

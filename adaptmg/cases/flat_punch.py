@@ -126,13 +126,10 @@ _LARGEST = 0.65
 
 def point_meshes(domain: Domain, points: Sequence[Sequence[float]], *, size: float, radius: float, levels: int,
                  factor: float, grading: float) -> list[MeshArrays]:
-    """Return independent meshes of a domain, coarse to fine.
-
-    On the finest the edges have the length ``size`` within ``radius`` of the points and grow by ``grading`` per
-    distance beyond, up to .65 ``grading`` times the largest extent of a body; on each coarser one all of this is
-    multiplied by ``factor``. The growth is limited by 1 only, so that a coarse mesh is nowhere finer than the next:
-    else some coarse functions would be seen by no fine node.
-    """
+    """Return independent meshes of a domain, coarse to fine. On the finest the edges have the length ``size`` within
+    ``radius`` of the points and grow by ``grading`` per distance beyond, up to .65 ``grading`` times the largest extent
+    of a body; on each coarser one all of this is multiplied by ``factor``. The growth is limited by 1 only, so that a
+    coarse mesh is nowhere finer than the next: else some coarse functions would be seen by no fine node."""
     from adaptmg.mesh import SizeNear, sized
 
     grading = checks.positive("grading", grading)

@@ -213,10 +213,8 @@ def _unmarked(text: str) -> str:
 
 
 def arguments_of(function: Maker, given: Arguments, before: str, what: str) -> Arguments:
-    """Return keyword arguments of a class or function, and remove them from ``given``.
-
-    In messages keys begin with ``before``, such as "solver.", and ``what`` names the function.
-    """
+    """Return keyword arguments of a class or function, and remove them from ``given``. In messages keys begin with
+    ``before``, such as "solver.", and ``what`` names the function."""
     found: Arguments = {}
     known = _parameters(function)
     for name in (name for name, (_, kinds) in known.items() if not kinds):

@@ -43,11 +43,8 @@ def chosen(path: Path, names: Sequence[str], name: str | None) -> str:
 
 def selected(store: Store, name: str, *, status: str | None = None, where: Sequence[Condition] = (),
              limit: int | None = None, details: bool = False) -> tuple[pd.DataFrame, int]:
-    """Return runs of a study in the order of storing, and their number without ``limit``.
-
-    Parameters that are the same in all runs of the study are left out. Only runs that are shown are read, unless there
-    are conditions.
-    """
+    """Return runs of a study in the order of storing, and their number without ``limit``. Parameters that are the same
+    in all runs of the study are left out. Only runs that are shown are read, unless there are conditions."""
     if where:
         records = _matching(store.runs(name, status), where)
         total, records = len(records), records[:limit]

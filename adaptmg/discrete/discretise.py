@@ -204,10 +204,8 @@ class _Part:
 
 def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
                  excluded: np.ndarray | None = None) -> tuple[ContactNodes, sparse.csr_array | None]:
-    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow.
-
-    ``excluded`` slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m.
-    """
+    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow. ``excluded``
+    slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m."""
     owner = np.full(mesh.n_nodes, -1)
     facets = [named_facets(mesh, contact.boundary) for contact in problem.contact]
     for k in reversed(range(len(facets))):

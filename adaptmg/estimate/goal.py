@@ -270,10 +270,8 @@ def _reaction(view: GoalView, functional: Functional, dual: AdjointSolution) -> 
 
 def _friction_work(view: GoalView) -> np.ndarray:
     """Work (n_edges, dim) of the friction that does not depend on pressure on the bubbles of contact surfaces, N.
-
     Contact conditions of slaves are part of the spaces, in which Coulomb's friction does no work; Tresca's does, the
-    part s / (s + mu p) of the friction.
-    """
+    part s / (s + mu p) of the friction."""
     contact, given, mesh = view.contact, view.posed.result.contact, view.posed.mesh
     result = np.zeros((len(view.bubbles.edges), mesh.dim))
     if not contact.fixed_limit.any():
@@ -325,10 +323,8 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
 def _tolerance(view: GoalView, duals: list[AdjointSolution], signed: np.ndarray, absolute: np.ndarray,
                energy: float) -> float:
     """The relative energy error that has as large a part in a quantity as its discretisation error, for the strictest.
-
     By the inequality of Cauchy and Schwarz, |z . r| <= ||z||_A ||e||_A. A signed error may vanish by chance. Of
-    quantities that the contact state holds alone it is ``energy``, that of the discretisation.
-    """
+    quantities that the contact state holds alone it is ``energy``, that of the discretisation."""
     matrix, norm = view.posed.discrete.matrix, view.posed.norm
     sizes = np.array([energy_norm(dual.field, matrix @ dual.field) for dual in duals]) * norm
     errors = np.maximum(np.abs(signed), _CHANCE * absolute)

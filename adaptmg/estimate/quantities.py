@@ -360,10 +360,8 @@ def _middles(view: GoalView, name: str, facets: np.ndarray) -> tuple[np.ndarray,
 
 
 def _middle_gaps(view: GoalView, k: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gaps (n_nodes,), middles of the edges of facets of contact boundary k, and gaps (n, n_edges) there.
-
-    A node without a condition makes them NaN.
-    """
+    """Gaps (n_nodes,), middles of the edges of facets of contact boundary k, and gaps (n, n_edges) there. A node
+    without a condition makes them NaN."""
     contact, result, mesh = view.posed.problem.contact[k], view.posed.result.contact, view.posed.mesh
     gap, normal = np.full((2, mesh.n_nodes), np.nan)
     gap[result.node], normal[result.node] = result.gap, result.u_n

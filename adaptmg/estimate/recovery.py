@@ -153,11 +153,9 @@ def axisymmetric_stresses(points, elements, u, body, lame, shear, initial, value
 @kernel
 def axisymmetric_energy(points, elements, cells, u, volumes, body, lame, shear, initial, values, nodal, rule, weights,
                         squares):
-    """Write the energies (n_elements,) of recovered minus element stresses over the full circumference.
-
-    ``rule`` (n_points, 3) and ``weights`` (n_points,): points inside the element; there the element has the hoop
-    strain u_r / r.
-    """
+    """Write the energies (n_elements,) of recovered minus element stresses over the full circumference. ``rule``
+    (n_points, 3) and ``weights`` (n_points,): points inside the element; there the element has the hoop strain u_r /
+    r."""
     stress = np.empty(4)
     for e in range(len(elements)):
         k = body[e]

@@ -147,10 +147,8 @@ def _exerted(fixed: np.ndarray, result: Result) -> np.ndarray:
 
 
 def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
-    """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same on all meshes, m.
-
-    NaN elsewhere: of a function of position a coarse mesh has its own interpolant.
-    """
+    """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same on all meshes, m. NaN
+    elsewhere: of a function of position a coarse mesh has its own interpolant."""
     result = np.full(mesh.points.shape, np.nan)
     for support in (*boundary_supports(mesh, problem.supports),
                     *(one for one in problem.supports if isinstance(one, PointSupport))):

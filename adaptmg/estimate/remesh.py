@@ -255,10 +255,8 @@ def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float,
 
 @kernel
 def _relax(points, elements, start, items, growth, sizes, queue, waiting):
-    """Lower ``sizes`` in place; ``queue`` (n_nodes,) holds all nodes, smallest first, ``waiting`` all True.
-
-    Dijkstra's method with a queue in place of a heap: a node returns to it where its size has fallen meanwhile.
-    """
+    """Lower ``sizes`` in place; ``queue`` (n_nodes,) holds all nodes, smallest first, ``waiting`` all True. Dijkstra's
+    method with a queue in place of a heap: a node returns to it where its size has fallen meanwhile."""
     n, dim = len(queue), points.shape[1]
     first, count = 0, n
     while count > 0:

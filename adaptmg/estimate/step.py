@@ -186,11 +186,9 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
 
 
 class Engine(Protocol):
-    """What makes the next mesh: Remesh, Bisect or a user-defined object.
-
-    It may also have ``intermediate(problem, coarse, fine) -> MeshArrays or None``, a mesh between two whose sizes
-    differ too much for neighbouring levels, and ``first(problem, size) -> MeshArrays or None``, the mesh to begin with.
-    """
+    """What makes the next mesh: Remesh, Bisect or a user-defined object. It may also have ``intermediate(problem,
+    coarse, fine) -> MeshArrays or None``, a mesh between two whose sizes differ too much for neighbouring levels, and
+    ``first(problem, size) -> MeshArrays or None``, the mesh to begin with."""
 
     def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: np.ndarray,
                max_nodes: int | None = None) -> MeshArrays | None:

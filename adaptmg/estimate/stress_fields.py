@@ -142,11 +142,9 @@ class Neighbours:
 
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
-    """Neighbours in a mesh.
-
-    Facets are kept in buckets by their lowest node; two are the same if their lowest and highest nodes and the sums of
-    their nodes agree. A bucket holds about a dozen of them (3D: some dozens), so that no table has to be sorted.
-    """
+    """Neighbours in a mesh. Facets are kept in buckets by their lowest node; two are the same if their lowest and
+    highest nodes and the sums of their nodes agree. A bucket holds about a dozen of them (3D: some dozens), so that no
+    table has to be sorted."""
     n, k = mesh.elements.shape
     across = np.full((n, k), -1, dtype=np.int32)
     owner, corner = (np.full(len(mesh.facets), -1, dtype=np.int32) for _ in range(2))

@@ -121,10 +121,8 @@ class ActiveSet:
 
 
 class _NewtonTest(IterateTest):
-    """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none.
-
-    As long as the contact status changes, nodes may follow one another: many such steps may be left.
-    """
+    """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none. As
+    long as the contact status changes, nodes may follow one another: many such steps may be left."""
 
     stalled, settled = False, False
     UNSETTLED = 10.0  # factor on the last step while the status changes
@@ -386,10 +384,8 @@ class LinearSteps(Protocol):
         """The residual (n_contact, dim) at contact nodes that decides their status, from that at all dofs."""
 
     def solve(self, equations: Linearised, spring: float) -> np.ndarray:
-        """The change (n_dofs,) for the last residual, with springs at contact relative to the diagonal.
-
-        LinAlgError if the equations are singular or, without springs, an iterative linear solver does not converge.
-        """
+        """The change (n_dofs,) for the last residual, with springs at contact relative to the diagonal. LinAlgError if
+        the equations are singular or, without springs, an iterative linear solver does not converge."""
 
 
 class CondensedSteps:

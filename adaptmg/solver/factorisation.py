@@ -206,10 +206,8 @@ class Condensed:
 
 
 def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
-    """Condense a problem onto its contact nodes.
-
-    ``lenient``: where the problem is singular with all contact dofs fixed, dofs that depend on others stay at zero.
-    """
+    """Condense a problem onto its contact nodes. ``lenient``: where the problem is singular with all contact dofs
+    fixed, dofs that depend on others stay at zero."""
     system = local.system
     dim = system.dim
     contact = dofs_of(system.nodes, dim)

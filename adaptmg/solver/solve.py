@@ -235,10 +235,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
-    """The status of a solver, unless the natural residual or the certificate contradicts it.
-
-    With the paper's test rtol is that of a change: the error is compared with the multiple that the residual has.
-    """
+    """The status of a solver, unless the natural residual or the certificate contradicts it. With the paper's test rtol
+    is that of a change: the error is compared with the multiple that the residual has."""
     if not np.isfinite(residual):
         return Status.DIVERGED
     most = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, StopTest.ROUNDING_LIMIT)

@@ -46,12 +46,11 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 class TruncatedIteration(StopTest):
     """Cycles on one level, measured after the smoothing, and their test; see :func:`~adaptmg.solver.iterate.iterate`.
-
     ``run`` asks the certificate and keeps the history. ``cold``: the contact status of the start is unknown.
     ``first_rate`` is the rate of the first cycle for a start that is nearly solved: one cycle may then do, and friction
     is frozen as long as the residual contradicts such a start. ``nested`` is the start (n_dofs,) from which
-    ``rtol="discretisation"`` is measured. ``hands_over``: end where the tolerance is out of reach at the present speed.
-    """
+    ``rtol="discretisation"`` is measured. ``hands_over``: end where the tolerance is out of reach at the present
+    speed."""
 
     #: the energy of the coarse correction misses what the smoothing removes, and all the corrections that follow: the
     #: error is up to the larger of SAFETY and TAIL / (1 - rate) times larger
@@ -128,11 +127,8 @@ class TruncatedIteration(StopTest):
         return None
 
     def take_discretisation_error(self, change: float) -> None:
-        r"""Set rtol from the A-norm of what the first cycle changed in the nested start.
-
-        By orthogonality and an error that halves with the mesh size,
-        :math:`|u - u_h| = |u_h - u_{2h}|/\sqrt 3`; a tenth of it is the tolerance.
-        """
+        r"""Set rtol from the A-norm of what the first cycle changed in the nested start. By orthogonality and an error
+        that halves with the mesh size, :math:`|u - u_h| = |u_h - u_{2h}|/\sqrt 3`; a tenth of it is the tolerance."""
         if self.size > 0:
             self.rtol = min(self.SHARE * change / np.sqrt(3.0) / self.size, self.COARSEST)
 
@@ -284,10 +280,8 @@ class TruncatedRun:
         self.problems: list[DiscreteProblem | None] = [level.discrete for level in hierarchy.levels]
 
     def from_given(self, start: np.ndarray | None, first_rate: float | None = None) -> Outcome:
-        """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero.
-
-        ``first_rate``: the start is nearly solved; see :class:`~adaptmg.solver.truncated.TruncatedIteration`.
-        """
+        """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero. ``first_rate``: the start is
+        nearly solved; see :class:`~adaptmg.solver.truncated.TruncatedIteration`."""
         problem = self.problems[-1]
         unknowns = np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start)
         return self.finish(unknowns, cold=first_rate is None, first_rate=first_rate)

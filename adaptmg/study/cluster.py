@@ -162,10 +162,8 @@ def _unpacked(order: bytes) -> Order:
 
 
 def _on_worker(order: bytes, point: Point, tries: int, name: str, topic: str) -> Finished:
-    """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts.
-
-    A function that holds Python's lock would keep a report that is only on its way.
-    """
+    """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts. A function
+    that holds Python's lock would keep a report that is only on its way."""
     worker = get_worker()
     return perform(_unpacked(order), point, tries, lambda: topic and sync(
         worker.loop, worker.scheduler.log_event, topic=topic, msg={"run": name, "worker": worker.address}))
@@ -402,10 +400,8 @@ _CONFIG = {
 
 
 def dask_setup(worker: object) -> None:
-    """Let the system end this process with its parent (Linux), even in compiled code that holds Python's lock.
-
-    dask calls this in each process of a local cluster.
-    """
+    """Let the system end this process with its parent (Linux), even in compiled code that holds Python's lock. dask
+    calls this in each process of a local cluster."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
@@ -502,10 +498,8 @@ def _environment_kept() -> Iterator[None]:
 
 @contextmanager
 def _scripts_not_run_again() -> Iterator[None]:
-    """Spawned processes run the script of the user again, up to its ``if __name__ == "__main__"``; dask's need not.
-
-    Run functions are sent by value. Processes of others are not changed.
-    """
+    """Spawned processes run the script of the user again, up to its ``if __name__ == "__main__"``; dask's need not. Run
+    functions are sent by value. Processes of others are not changed."""
     prepare = multiprocessing.spawn.get_preparation_data
 
     def prepared(name: str) -> dict[str, object]:

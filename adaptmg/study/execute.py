@@ -70,9 +70,7 @@ def in_turn(task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, F
 
 def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
     """Compute one run; what the function raises, and results that cannot be stored, are part of the outcome.
-
-    KeyboardInterrupt passes if ``interruptible``: it is Ctrl-C of the user.
-    """
+    KeyboardInterrupt passes if ``interruptible``: it is Ctrl-C of the user."""
     started = now()
     _reset_peak()
     begin = time.perf_counter()
@@ -185,11 +183,9 @@ _functions: dict[tuple[bytes, str], RunFunction] = {}
 
 
 def readied(order: Order) -> RunFunction:
-    """Check this process against the one of the study, and unpack the run function.
-
-    Modules that are loaded here may have been edited since, and values that a script set in a module are not here: the
-    function would compute something else under the fingerprint of the study.
-    """
+    """Check this process against the one of the study, and unpack the run function. Modules that are loaded here may
+    have been edited since, and values that a script set in a module are not here: the function would compute something
+    else under the fingerprint of the study."""
     known = order.function, order.fingerprint.code
     if known in _functions:
         return _functions[known]

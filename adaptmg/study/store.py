@@ -222,10 +222,8 @@ class Store:
                             "FROM runs GROUP BY study ORDER BY study")
 
     def varying(self, study: str, first: Mapping[str, Value]) -> list[str]:
-        """Return the parameters of a run that another run of its study lacks, or has with another value.
-
-        The canonical texts are searched for the piece of a name and its value: no JSON is read.
-        """
+        """Return the parameters of a run that another run of its study lacks, or has with another value. The canonical
+        texts are searched for the piece of a name and its value: no JSON is read."""
         other = "SELECT 1 FROM runs WHERE study = ? AND instr(parameters, ? || ',') = 0 " \
                 "AND instr(parameters, ? || '}') = 0 LIMIT 1"
         pieces = {name: canonical({name: value})[1:-1] for name, value in first.items()}

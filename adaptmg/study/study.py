@@ -418,10 +418,8 @@ class Watch:
 @contextmanager
 def _watched(name: str, total: int, before: int, running: Callable[[], int],
             bar: bool | Callable[[Watch], None] | None) -> Iterator[Watch]:
-    """Yield a watch; with a bar on standard error if ``bar``, or if it is None and standard error is a terminal.
-
-    A function as ``bar`` is called after each run instead.
-    """
+    """Yield a watch; with a bar on standard error if ``bar``, or if it is None and standard error is a terminal. A
+    function as ``bar`` is called after each run instead."""
     # without a console (pythonw, a service) Python has no standard error
     if callable(bar) or sys.stderr is None or not (sys.stderr.isatty() if bar is None else bar):
         yield Watch(name, total, before, running, bar if callable(bar) else None)

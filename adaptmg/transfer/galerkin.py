@@ -108,11 +108,9 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
 
 
 def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_array:
-    """A prolongation without what it gives to nodes of which the next finer level takes nothing.
-
-    The diagonal that :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next one) is no
-    stiffness: in the next product it would hold the coarser functions at zero there.
-    """
+    """A prolongation without what it gives to nodes of which the next finer level takes nothing. The diagonal that
+    :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next one) is no stiffness: in the
+    next product it would hold the coarser functions at zero there."""
     if finer is None:
         return nodal
     idle = np.bincount(finer.indices, weights=np.abs(finer.data), minlength=finer.shape[1]) == 0
