@@ -409,17 +409,9 @@ def dask_setup(worker: object) -> None:
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Client]:
-    """Start processes on this machine, and end them.
+    """Start ``workers`` processes on this machine, and end them.
 
-    Parameters
-    ----------
-    workers : int
-        How many.
-
-    Yields
-    ------
-    distributed.Client
-        For :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies can share it.
+    Yields the distributed.Client for :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies can share it.
     """
     count = checks.integer("workers", workers, minimum=1)
     if multiprocessing.current_process().daemon:

@@ -56,15 +56,7 @@ _DAMAGE = (ValueError, TypeError, RecursionError)
 
 
 class Store:
-    """Runs by study and parameters, in a SQLite file or (path None) in memory.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged or is not a store.
-    OSError
-        If it cannot be read or written; the message names the file. Runs that were stored before stay.
-    """
+    """Runs by study and parameters, in a SQLite file or (path None) in memory; errors name the file."""
 
     def __init__(self, path: str | os.PathLike[str] | None) -> None:
         # SQLite keeps its journal next to the file itself, so links are followed

@@ -128,17 +128,10 @@ class Study:
         return [{**self.fixed, **point} for point in self.design.points()]
 
     def add(self, design: Given) -> Study:
-        """Add points, which the store remembers: they are there when the study is opened without parameters.
+        """Add points of the same parameters, and return this study.
 
-        Parameters
-        ----------
-        design : mapping, list of points, or design
-            With the same parameters. Points that are there already are left out.
-
-        Returns
-        -------
-        Study
-            This one.
+        The store remembers them: they are there when the study is opened without parameters. Points that are there
+        already are left out.
         """
         more = as_design("design", design)
         self.design = extended(self.design, more)
@@ -178,16 +171,8 @@ class Study:
         Returns
         -------
         pandas.DataFrame
-            One row a run in the order of the design; see :meth:`table`.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            On Ctrl-C: finished runs are stored, and no process is left.
-        OSError, ValueError
-            If the store cannot be written.
-        RuntimeError
-            If a worker has another adaptmg, other packages, or lacks a module.
+            As of :meth:`table`. On Ctrl-C finished runs are stored, and no process is left. OSError or ValueError if
+            the store cannot be written, RuntimeError for a worker with other packages or without a module.
         """
         if not (progress is None or isinstance(progress, bool) or callable(progress)):
             raise TypeError(f"progress must be True, False, None or a function, got {checks.shown(progress)}")
@@ -213,19 +198,11 @@ class Study:
         return self._table(found, versions, False)
 
     def table(self, details: bool = False) -> pd.DataFrame:
-        """Return the runs in the store, without computing any.
+        """Return the runs in the store, without computing any: one row a run in the order of the design.
 
-        Parameters
-        ----------
-        details : bool
-            Also tries, peak_memory (bytes), started, finished (UTC), machine, commit, traceback.
-
-        Returns
-        -------
-        pandas.DataFrame
-            One row a run in the order of the design: parameters, results, ``status`` ('done', 'failed', 'stale',
-            'missing'), ``seconds`` and ``error``. Results that are kept as files show the name of the file.
-            ``attrs`` holds the name of the study and the fixed parameters.
+        Columns are parameters, results (the name of the file where one is kept as a file), ``status`` ('done',
+        'failed', 'stale', 'missing'), ``seconds`` and ``error``; with ``details`` also tries, peak_memory (bytes),
+        started, finished (UTC), machine, commit, traceback. ``attrs`` has the study's name and fixed parameters.
         """
         return self._table(self._fingerprint(), environment(), details)
 
@@ -246,19 +223,10 @@ class Study:
                            reasons=reasons(stale, found, versions, self._store.origins()))
 
     def load(self, row: int | Mapping[str, Value] | pd.Series, name: str | None = None) -> Kept | dict[str, Kept]:
-        """Return results of a run that are kept as files.
+        """Return the results of a run that are kept as files, by name, or the one called ``name``.
 
-        Parameters
-        ----------
-        row : int, mapping or pandas.Series
-            Number of the row in :meth:`table`, the row itself, or the parameters of the run.
-        name : str, optional
-            Of the result.
-
-        Returns
-        -------
-        dict, or the result of that name
-            Arrays, meshes, results of solvers and texts; of a figure the path of its SVG file.
+        ``row`` is the number of the row in :meth:`table`, the row itself, or the parameters of the run. Of a figure the
+        path of its SVG file is returned.
         """
         if isinstance(row, Mapping | pd.Series):
             point = {**self.fixed, **{key: parameter_value(key, row[key]) for key in self.design.names}}
