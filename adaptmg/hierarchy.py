@@ -106,6 +106,9 @@ class Hierarchy:
                 diagonal: str = "right") -> Hierarchy:
         """Structured grids of a rectangle or box.
 
+        ValueError for what :func:`adaptmg.mesh.structured` refuses; levels that together have more than four times the
+        nodes of the finest, and millions of them.
+
         Parameters
         ----------
         problem : ContactProblem
@@ -115,12 +118,6 @@ class Hierarchy:
             name -> cells.
         diagonal : {"right", "left", "alternating"}
             How squares are cut (2D).
-
-        Raises
-        ------
-        ValueError
-            What :func:`adaptmg.mesh.structured` refuses; levels that together have more than four times the nodes of
-            the finest, and millions of them.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import structured
@@ -343,15 +340,12 @@ class Hierarchy:
         and prolongations are shared with this hierarchy; for other material, supports or obstacles matrices are
         assembled again.
 
+        ValueError if domain or contact boundaries are others, or the levels are not made of meshes.
+
         Parameters
         ----------
         problem : ContactProblem
             On the same domain, with contact on the same boundaries.
-
-        Raises
-        ------
-        ValueError
-            If domain or contact boundaries are others, or the levels are not made of meshes.
 
         Examples
         --------

@@ -51,6 +51,10 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
                     ) -> ContactProblem:
     """Two blocks of one material, one on the other, under uniform stress: the patch test of contact.
 
+    Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons, or
+    their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the tangential one)
+    on the interface, Pa, which the law must bear. For meshes see :func:`patch_mesh`.
+
     Parameters
     ----------
     law : Law
@@ -65,13 +69,6 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
         Of both blocks, Pa, and a number.
     size : float
         Width and depth of the blocks, m; each is ``size`` high in the mean.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons,
-        or their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the
-        tangential one) on the interface, Pa, which the law must bear. For meshes see :func:`patch_mesh`.
 
     Examples
     --------
@@ -183,6 +180,10 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
     The block of weight W presses on the slab with W cos(angle) and pulls down it with W sin(angle): it rests if and
     only if tan(angle) <= mu. The gravity points down; the slab is held at its underside.
 
+    Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t`` (resultants normal to
+    the slab and along it, N/m) and, with a constant coefficient of friction, ``holds``: where it is False,
+    :func:`adaptmg.solve` refuses the problem.
+
     Parameters
     ----------
     law : Law
@@ -195,13 +196,6 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
         Of the block, kg/m^3; the slab has no weight.
     young, poisson : float
         Of both bodies, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t`` (resultants
-        normal to the slab and along it, N/m) and, with a constant coefficient of friction, ``holds``: where it is
-        False, :func:`adaptmg.solve` refuses the problem.
 
     Examples
     --------

@@ -77,6 +77,11 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
                     flanges: Flanges | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """Two vessels bolted together, under internal pressure.
 
+    Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first contact
+    pair is the joint. ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N); with the
+    default parameters in 2D also ``values`` by mesh convergence: ``open_to``, ``slip_to``, ``peak_at`` (radii, m),
+    ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N; of the ring).
+
     Parameters
     ----------
     dim : {2, 3}
@@ -97,14 +102,6 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
         Dimensions; by default 16 bolts of 24 mm, in 3D 8 bolts of the same section.
     young, poisson : float
         Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first
-        contact pair is the joint. ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N);
-        with the default parameters in 2D also ``values`` by mesh convergence: ``open_to``, ``slip_to``, ``peak_at``
-        (radii, m), ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N; of the ring).
 
     Examples
     --------

@@ -78,6 +78,9 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
              young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """A cylinder on a block of the same material under a normal and a tangential load.
 
+    Bodies and meshes are those of :func:`~adaptmg.cases.hertz.hertz_cylinder`; ``reference`` also holds, with a
+    constant coefficient of friction, ``stick`` (c, m) and ``partial_slip`` (:class:`PartialSlip`).
+
     Parameters
     ----------
     law : Law
@@ -90,12 +93,6 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
         Of the cylinder, m.
     young, poisson : float
         Of both bodies, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies and meshes are those of :func:`~adaptmg.cases.hertz.hertz_cylinder`; ``reference`` also holds, with a
-        constant coefficient of friction, ``stick`` (c, m) and ``partial_slip`` (:class:`PartialSlip`).
 
     Notes
     -----

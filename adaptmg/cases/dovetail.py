@@ -51,6 +51,10 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
              clamp: float = 120e6, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """The dovetail joint; a reconstruction with our own geometry and loads.
 
+    Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name -> position,
+    m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state -> ranges of depth below the mouth,
+    m), ``tolerances`` of both (m), ``sources`` and ``remark``; otherwise only ``remark``.
+
     Parameters
     ----------
     law : Law
@@ -65,13 +69,6 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
         Pressure on the side of the block, Pa.
     young, poisson : float
         Of both parts, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name ->
-        position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state -> ranges of depth
-        below the mouth, m), ``tolerances`` of both (m), ``sources`` and ``remark``; otherwise only ``remark``.
 
     Examples
     --------

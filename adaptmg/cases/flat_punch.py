@@ -63,6 +63,9 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
                young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """A flat rigid punch on a block 40 half-widths deep and 80 wide; plane strain, one half by symmetry.
 
+    ``reference`` holds, without friction, ``pressure`` (:class:`PunchPressure`, of x in m), ``exponent`` (of the
+    singularity at the edge) and ``sources``. For meshes see :func:`flat_punch_meshes`.
+
     Parameters
     ----------
     law : Law
@@ -73,12 +76,6 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
         a, m.
     young, poisson : float
         Of the block, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        ``reference`` holds, without friction, ``pressure`` (:class:`PunchPressure`, of x in m), ``exponent`` (of the
-        singularity at the edge) and ``sources``. For meshes see :func:`flat_punch_meshes`.
 
     Examples
     --------

@@ -157,6 +157,10 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
                    lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """A cylinder on a block, or on another cylinder; plane strain, one half by symmetry.
 
+    Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``half_width`` (m), ``peak``
+    (Pa), ``closed_form`` (:class:`LineContact`), ``sources`` and ``remark``. For meshes see
+    :func:`line_contact_meshes`.
+
     Parameters
     ----------
     law : Law
@@ -169,13 +173,6 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
         Of the body below, m; None for a block with a flat top.
     young, poisson : float
         Of both bodies, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``half_width`` (m), ``peak``
-        (Pa), ``closed_form`` (:class:`LineContact`), ``sources`` and ``remark``. For meshes see
-        :func:`line_contact_meshes`.
 
     Examples
     --------

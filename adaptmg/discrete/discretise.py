@@ -32,12 +32,11 @@ from adaptmg.discrete.contact_nodes import check_bounds, check_size
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.exchange import ScaledLaw, find_carriers
 from adaptmg.discrete.facets import area_vectors, fixed_dofs, named_facets, shape_integrals, supported_nodes
-from adaptmg.discrete.loads import load_vector
+from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.mortar.interface import MortarInterface, surface_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.discrete.rigid_modes import rigid_motions
-from adaptmg.discrete.springs import supported_stiffness
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.surfaces import ContactPair
@@ -50,6 +49,11 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
                ) -> DiscreteProblem:
     """Discretise by P1 elements on a mesh with every boundary that the problem names.
 
+    Its law has nodal parameters; its name is the problem's with the number of nodes.
+
+    ValueError if dimensions, boundary or body names differ, if a body has neither support nor contact, if the mesh has
+    fewer than dim + 1 contact nodes, or loads and supports do not fit it.
+
     Parameters
     ----------
     problem : ContactProblem
@@ -57,17 +61,6 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     slip_reference : (n_nodes, dim) array, optional
         Displacement against which slip is measured (the previous load step), m; at slave nodes relative to the
         master. Default 0.
-
-    Returns
-    -------
-    DiscreteProblem
-        Its law has nodal parameters; its name is the problem's with the number of nodes.
-
-    Raises
-    ------
-    ValueError
-        If dimensions, boundary or body names differ, if a body has neither support nor contact, if the mesh has fewer
-        than dim + 1 contact nodes, or loads and supports do not fit it.
 
     Examples
     --------

@@ -34,8 +34,7 @@ from adaptmg.discrete.elasticity import (
     solid_gradients,
 )
 from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
-from adaptmg.discrete.loads import body_elements, load_density
-from adaptmg.discrete.springs import foundation
+from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate.adjoint import LinearisedContact
 from adaptmg.geometry.quadrature import (

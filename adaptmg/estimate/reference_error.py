@@ -22,8 +22,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.facets import boundary_supports, supported_nodes
-from adaptmg.discrete.loads import load_vector
-from adaptmg.discrete.springs import supported_stiffness
+from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.estimate.stress_fields import posed
 from adaptmg.hierarchy import Hierarchy
@@ -96,6 +95,9 @@ class Reference:
 def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result) -> EnergyError:
     """The error of a result in the energy norm.
 
+    As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0. ValueError without
+    a mesh, for other bodies, or where the squared error comes out negative.
+
     Parameters
     ----------
     reference : Reference, or (Hierarchy, Result)
@@ -103,12 +105,6 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     result : Result
         Of the same problem, on any mesh of the same domain with the same names. On curved boundaries the domains of two
         meshes differ, which counts as error too: on a pin with a fillet in 3D, 2 800 nodes, a quarter of it.
-
-    Returns
-    -------
-    EnergyError
-        As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0. ValueError
-        without a mesh, for other bodies, or where the squared error comes out negative.
     """
     if isinstance(reference, tuple) and len(reference) == 2:
         reference = Reference.of(*reference)

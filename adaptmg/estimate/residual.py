@@ -28,8 +28,7 @@ import numpy as np
 from adaptmg._runtime import kernel, one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
-from adaptmg.discrete.loads import body_elements, load_density
-from adaptmg.discrete.springs import foundation
+from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, Posed, posed
 from adaptmg.estimate.tractions import contact_tractions

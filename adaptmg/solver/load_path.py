@@ -235,10 +235,6 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     progress : callable or bool, optional
         Called with the number of the step and each row of its history. True: write a line a step to standard error.
 
-    Returns
-    -------
-    PathResult
-
     Raises
     ------
     ValueError

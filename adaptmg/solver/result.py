@@ -16,8 +16,8 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
+from adaptmg.discrete.loads import moment
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.springs import moment
 from adaptmg.discrete.stress import StressData, as_tensors, von_mises
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays

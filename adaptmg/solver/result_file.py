@@ -39,7 +39,6 @@ _TEXT: dict[str, object] = {
     "rtol": float, "error_estimate": float, "rate": float, "start_work_units": float, "timings": {str: float},
     "path": [(int, str, int)], "levels": [{str: float}], "versions": {str: str}, "supports": {str: str},
     "choice": str, "springs": {str: [float]}}
-_LATER = {"supports": {}, "choice": "", "springs": {}}  # missing in files of earlier versions
 _LABELS = {"names": "contact", "masters": "contact", "boundaries": "mesh", "bodies": "mesh"}
 #: shapes of the arrays, a letter for each length: p nodes, d components, t tangents, n contact nodes, m nodes that
 #: follow, e elements of c corners, f facets, b bodies, s initial strains
@@ -165,11 +164,7 @@ def _fields(text: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
     """The fields of a Result, all of them checked."""
     status = Status[checks.choice("status", text["status"], Status.__members__)]
     fields: dict[str, Any] = {"status": status, "checked": None}
-    if "fallback" not in text:  # the first files say it in the name of the solver
-        solver, _, fallback = text["solver_name"].partition(", then ")
-        text |= {"solver_name": solver, "fallback": fallback}
-    for name, kind in _TEXT.items():
-        fields[name] = _checked(name, text.get(name, _LATER[name]) if name in _LATER else text[name], kind)
+    fields |= {name: _checked(name, text[name], kind) for name, kind in _TEXT.items()}
     if text.get("checked") is not None:
         fields["checked"] = Certificate.from_dict(checks.instance("checked", text["checked"], dict))
     found = {name.partition(".")[0] for name in arrays} | {"contact"}

@@ -19,8 +19,8 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import one_blas_thread, say
 from adaptmg.discrete.facets import held_components
+from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.springs import spring_resultants
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.advice import advise_on_problem, advise_on_result, once
@@ -60,10 +60,6 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         Called with each row of the history (a dict), for progress bars.
     progress : bool
         Write a line a cycle to standard error.
-
-    Returns
-    -------
-    Result
 
     Raises
     ------

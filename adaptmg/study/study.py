@@ -61,6 +61,9 @@ class Study:
     that are stale: code or values that the run function reads, the numerical sources of adaptmg, or a version of a
     package changed (see :meth:`status`). Data files and environment variables are not seen; ``depends`` can name them.
 
+    TypeError, ValueError for values that cannot be stored, for parameters that the function does not take or lacks,
+    and for a function that reads a value which cannot be compared.
+
     Parameters
     ----------
     run : function
@@ -79,12 +82,6 @@ class Study:
     depends : mapping, optional
         Values by name for dependencies that cannot be seen: a :class:`pathlib.Path` for the content of a file, a
         value in place of a global or a variable of a closure of that name, a text for anything else.
-
-    Raises
-    ------
-    TypeError, ValueError
-        For values that cannot be stored, for parameters that the function does not take or lacks, and for a function
-        that reads a value which cannot be compared.
 
     Examples
     --------
@@ -144,6 +141,9 @@ class Study:
             cost: Cost | None = None) -> pd.DataFrame:
         """Compute the runs that the store does not have, and return the table.
 
+        As of :meth:`table`. On Ctrl-C finished runs are stored, and no process is left. OSError or ValueError if the
+        store cannot be written, RuntimeError for a worker with other packages or without a module.
+
         Parameters
         ----------
         progress : bool or callable, optional
@@ -167,12 +167,6 @@ class Study:
         cost : callable or str, optional
             Long runs first: a function of a point that grows with the time its run takes, the name of a parameter that
             does, or of a result or ``"seconds"`` of an earlier call.
-
-        Returns
-        -------
-        pandas.DataFrame
-            As of :meth:`table`. On Ctrl-C finished runs are stored, and no process is left. OSError or ValueError if
-            the store cannot be written, RuntimeError for a worker with other packages or without a module.
         """
         if not (progress is None or isinstance(progress, bool) or callable(progress)):
             raise TypeError(f"progress must be True, False, None or a function, got {checks.shown(progress)}")

@@ -39,11 +39,8 @@ def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_
                           fine_nodes: np.ndarray) -> sparse.csr_array:
     """Interpolate at fine contact nodes (n,) from the nearest coarse contact facet.
 
-    Returns
-    -------
-    (n, n_coarse_nodes) csr_array
-        >= 0, row sums 1, at most dim entries a row. The facets (n_facets, dim) hold coarse nodes, as
-        ``coarse.boundary_facets(name)`` does; the nearest is exact, on graded boundaries too.
+    Entries are >= 0, with row sums 1, at most dim in a row. The facets (n_facets, dim) hold coarse nodes, as
+    ``coarse.boundary_facets(name)`` does; the nearest is exact, on graded boundaries too.
     """
     facets = coarse_boundary_facets
     if facets.ndim != 2 or not len(facets) or not 0 <= facets.min() <= facets.max() < coarse.n_nodes:

@@ -57,10 +57,7 @@ class Interpolation:
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Nodal prolongation (n_fine, n_coarse), at most dim + 1 entries a row.
 
-        Raises
-        ------
-        ValueError
-            A fine node lies outside by more than a quarter of an element; bodies or dimensions do not match.
+        ValueError if a fine node lies outside by more than a quarter of an element, or bodies or dimensions differ.
         """
         found = locate_nodes(coarse, fine)
         return csr_from_weights(coarse.elements[found.element], found.weights, coarse.n_nodes)
