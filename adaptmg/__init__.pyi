@@ -21,7 +21,7 @@ from adaptmg.estimate.estimate import Doerfler as Doerfler
 from adaptmg.estimate.estimate import Estimate as Estimate
 from adaptmg.estimate.estimate import Maximum as Maximum
 from adaptmg.estimate.goal import Goal as Goal
-from adaptmg.estimate.goal_view import GoalEstimate as GoalEstimate
+from adaptmg.estimate.goal import GoalEstimate as GoalEstimate
 from adaptmg.estimate.quantities import ContactForce as ContactForce
 from adaptmg.estimate.quantities import Displacement as Displacement
 from adaptmg.estimate.quantities import MeanDisplacement as MeanDisplacement

@@ -13,8 +13,6 @@ from scipy import sparse
 
 from adaptmg._checks import real_array, shown
 
-__all__ = ["array", "direction", "indices_frozen", "narrowed", "sparse_matrix", "square_blocks", "vector"]
-
 _COMPRESSED = ("csr", "csc", "bsr")
 Compressed = sparse.csr_array | sparse.csc_array | sparse.bsr_array
 _Compressed = TypeVar("_Compressed", sparse.csr_array, sparse.csc_array, sparse.bsr_array)
@@ -88,10 +86,8 @@ def _holds_bool(value: object) -> bool:
 
 
 def sparse_matrix(name: str, value: object, shape: tuple[int | None, int | None] = (None, None)) -> Compressed:
-    """Return a sparse matrix of real, finite numbers with checked indices of 32 bits where these suffice.
-
-    Bsr, csr and csc matrices keep their format, others become csr.
-    """
+    """Return a sparse matrix of real, finite numbers with checked indices of 32 bits where these suffice. Bsr, csr and
+    csc matrices keep their format, others become csr."""
     if not sparse.issparse(value):
         raise TypeError(f"{name} must be a scipy sparse matrix, got {type(value).__name__}")
     _check_shape(name, value.shape, shape)

@@ -17,10 +17,6 @@ from typing import TypeVar
 import numpy as np
 from scipy import sparse
 
-__all__ = ["TINIEST", "VAST", "boundary_name", "choice", "convert", "described", "field", "file_path", "fits", "flag",
-           "function_or", "instance", "integer", "items", "listed", "mapping", "nonnegative", "number",
-           "offers", "optional_callable", "positive", "quantity", "shown", "strings", "suggestion", "tolerance"]
-
 VAST, TINIEST = 1e40, 1e-40
 """Physical quantities are smaller than ``VAST``, moduli and lengths larger than ``TINIEST``: energies, products of some
 of them, are then in the range of double precision."""
@@ -51,7 +47,6 @@ def number(name: str, value: object) -> float:
 
 
 def _number_that(words: str, condition: Callable[[float], bool]) -> Callable[[str, object], float]:
-    """The check of a finite float that satisfies a condition."""
     def check(name: str, value: object) -> float:
         result = number(name, value)
         if not condition(result):

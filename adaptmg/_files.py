@@ -18,19 +18,15 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["make_folder", "waiting_folder", "write_bytes"]
-
 _OLD = 86400.0  # s: temporary files of this age belong to no living process
 _STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
 _cleaned: set[Path] = set()
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file, so that no reader ever sees half of it, not even after a power cut.
-
-    Symbolic links are followed and ``~`` is expanded. An existing file keeps its permissions, a new one gets those of
-    the umask. Devices and pipes are written to.
-    """
+    """Write a file, so that no reader ever sees half of it, not even after a power cut. Symbolic links are followed and
+    ``~`` is expanded. An existing file keeps its permissions, a new one gets those of the umask. Devices and pipes are
+    written to."""
     path = Path(path).expanduser()
     target = Path(os.path.realpath(path))
     try:

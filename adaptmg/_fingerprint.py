@@ -39,8 +39,6 @@ from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 
 import numpy as np
 
-__all__ = ["PACKAGES", "Fingerprint", "environment", "fingerprint", "value_parts"]
-
 #: on which the results of adaptmg depend, with itself
 PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
 _COMPILED = tuple(importlib.machinery.EXTENSION_SUFFIXES)
@@ -88,10 +86,8 @@ class Fingerprint:
 
 def fingerprint(function: Callable[..., object], depends: Mapping[str, object] | None = None) -> Fingerprint:
     """Return what a plain function depends on; TypeError for a value that it reads and that cannot be compared.
-
     ``depends`` has values by name, in place of globals and variables of closures, or for anything else; a
-    :class:`pathlib.Path` stands for the content of the file.
-    """
+    :class:`pathlib.Path` stands for the content of the file."""
     if not isinstance(function, FunctionType):
         raise TypeError(f"run must be a plain function (def), got {function!r}; give constants with fixed={{...}}")
     references = _References(depends or {}, function.__globals__, "the run function depends on the",

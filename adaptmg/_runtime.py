@@ -34,17 +34,12 @@ from numba.core.registry import CPUDispatcher
 if TYPE_CHECKING:
     from threadpoolctl import LibController, ThreadpoolController
 
-__all__ = ["OnDemand", "inner_kernel", "kernel", "made_on_demand", "one_blas_thread", "read_only", "remembered",
-           "say", "seeded"]
-
 _LOG = logging.getLogger(__name__)
 
 
 def kernel(function: Callable | None = None, *, cache: bool = True, **options: object) -> Any:
-    """Compile a function that Python calls; ``options`` are those of ``numba.njit``.
-
-    Division by zero is as in numpy: a test before each division would take time, here and in the compilation.
-    """
+    """Compile a function that Python calls; ``options`` are those of ``numba.njit``. Division by zero is as in numpy: a
+    test before each division would take time, here and in the compilation."""
     if function is None:
         return partial(kernel, cache=cache, **options)
     compiled = numba.njit(**{"no_cfunc_wrapper": True, "error_model": "numpy"} | options)(function)
@@ -100,7 +95,6 @@ class _Cache(FunctionCache):
 
 @lru_cache(maxsize=1)
 def _announce_compiling() -> None:
-    """Report, once a process and before it takes seconds, that kernels are compiled."""
     text = "compiling kernels (first use on this machine, about 20 s; kept for later runs)"
     if sys.stderr is not None and sys.stderr.isatty() and multiprocessing.parent_process() is None:
         say(f"adaptmg: {text}")
@@ -238,10 +232,8 @@ def one_blas_thread() -> Iterator[None]:
 
 @contextmanager
 def seeded() -> Iterator[None]:
-    """Let what draws from numpy's global generator (pyamg) draw the same numbers always, and put the state back.
-
-    One thread at a time; a thread of the user that draws from the global generator meanwhile is not held back.
-    """
+    """Let what draws from numpy's global generator (pyamg) draw the same numbers always, and put the state back. One
+    thread at a time; a thread of the user that draws from the global generator meanwhile is not held back."""
     with _RANDOM:
         state = np.random.get_state()  # noqa: NPY002
         np.random.seed(0)  # noqa: NPY002
@@ -259,11 +251,9 @@ class OnDemand:
 
 
 def made_on_demand(name: str, doc: str) -> property:
-    """A property to put in the place of the field ``name`` of a dataclass, after its class statement.
-
-    The field keeps its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`.
-    ``dataclasses.replace`` reads it: say what the new value is, where it depends on what is replaced.
-    """
+    """A property to put in the place of the field ``name`` of a dataclass, after its class statement. The field keeps
+    its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`. ``dataclasses.replace``
+    reads it: say what the new value is, where it depends on what is replaced."""
     def value(owner: object) -> Any:
         held = owner.__dict__[name]
         if isinstance(held, OnDemand):
@@ -278,11 +268,8 @@ Value = TypeVar("Value")
 
 
 def remembered(function: Callable[[Owner], Value]) -> Callable[[Owner], Value]:
-    """A function that computes once for each object; exceptions are not remembered.
-
-    For objects that are the same only if they are identical, and never change: hierarchies that grow keep their coarse
-    levels from solve to solve.
-    """
+    """A function that computes once for each object; exceptions are not remembered. For objects that are the same only
+    if they are identical, and never change: hierarchies that grow keep their coarse levels from solve to solve."""
     known: WeakKeyDictionary[Owner, Value] = WeakKeyDictionary()
 
     @wraps(function)

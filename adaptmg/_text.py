@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["MOST", "brief", "html_table", "in_html", "in_html_lines", "printable", "shortened"]
-
 #: characters of a repr
 MOST = 400
 
@@ -23,9 +21,7 @@ _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufd
 
 def printable(text: str) -> str:
     """A text that every file format and terminal takes: control characters, lone surrogates and noncharacters as codes.
-
-    Line breaks and tabs stay. Of XML 1.0 and HTML both, nothing else than this is refused (but for markup).
-    """
+    Line breaks and tabs stay. Of XML 1.0 and HTML both, nothing else than this is refused (but for markup)."""
     return _UNPRINTABLE.sub(lambda match: match[0].encode("ascii", "backslashreplace").decode()
                             if ord(match[0]) > 127 else f"\\x{ord(match[0]):02x}", text)
 
@@ -56,10 +52,8 @@ def shortened(text: str) -> str:
 
 
 def brief(self: Any) -> str:
-    """The ``__repr__`` of a dataclass: as Python writes it where it is short; values on demand are not made.
-
-    Arrays are shown by their shapes. Where it is long, defaults, then what long values hold, are left out.
-    """
+    """The ``__repr__`` of a dataclass: as Python writes it where it is short; values on demand are not made. Arrays are
+    shown by their shapes. Where it is long, defaults, then what long values hold, are left out."""
     held = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
     defaults = [one.default_factory() if one.default_factory is not MISSING else one.default for one, _ in held]
     changed = [pair for pair, default in zip(held, defaults, strict=True) if repr(pair[1]) != repr(default)]
@@ -71,7 +65,6 @@ def brief(self: Any) -> str:
 
 
 def _value(value: Any, most: int) -> str:
-    """A value in a repr: in at most ``most`` characters, or by its kind and size."""
     name, shape = type(value).__name__, getattr(value, "shape", ())
     if isinstance(shape, tuple) and shape:
         if len(shape) > 1 or shape[0] > 12:

@@ -34,8 +34,6 @@ from adaptmg.problem import ContactPair, ContactProblem
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
-__all__ = ["Hierarchy", "Level"]
-
 T = TypeVar("T")
 Divisions = int | tuple[int, ...]
 
@@ -108,6 +106,9 @@ class Hierarchy:
                 diagonal: str = "right") -> Hierarchy:
         """Structured grids of a rectangle or box.
 
+        ValueError for what :func:`adaptmg.mesh.structured` refuses; levels that together have more than four times the
+        nodes of the finest, and millions of them.
+
         Parameters
         ----------
         problem : ContactProblem
@@ -117,12 +118,6 @@ class Hierarchy:
             name -> cells.
         diagonal : {"right", "left", "alternating"}
             How squares are cut (2D).
-
-        Raises
-        ------
-        ValueError
-            What :func:`adaptmg.mesh.structured` refuses; levels that together have more than four times the nodes of
-            the finest, and millions of them.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import structured
@@ -349,15 +344,12 @@ class Hierarchy:
         and prolongations are shared with this hierarchy; for other material, supports or obstacles matrices are
         assembled again.
 
+        ValueError if domain or contact boundaries are others, or the levels are not made of meshes.
+
         Parameters
         ----------
         problem : ContactProblem
             On the same domain, with contact on the same boundaries.
-
-        Raises
-        ------
-        ValueError
-            If domain or contact boundaries are others, or the levels are not made of meshes.
 
         Examples
         --------
@@ -453,7 +445,6 @@ class Hierarchy:
 
 
 def _each(name: str, value: T | Sequence[T], one: tuple[type, ...]) -> tuple[T, ...]:
-    """A sequence with a value a level; an instance of ``one`` stands for one level."""
     if isinstance(value, one) and not isinstance(value, bool):
         return (value,)
     values = checks.listed(name, value, "values, one a level, coarse to fine")
@@ -488,7 +479,6 @@ def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
 
 
 def _label(value: object) -> str:
-    """A size, a ratio or divisions as text: a number, some, or by body."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{body}: {_label(part)}" for body, part in value.items()) + "}"
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -24,9 +24,6 @@ from adaptmg.problem import ContactProblem
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
-__all__ = ["Level", "check_coarse_to_fine", "joined", "level_of", "need_domain", "reposed", "the_transfer",
-           "touches_alike"]
-
 
 @dataclass(frozen=True, eq=False)
 class Level:
@@ -117,7 +114,6 @@ Level.mesh_ratio = made_on_demand("mesh_ratio", "Largest local ratio of mesh siz
 
 
 def _ratio_to(coarse: MeshArrays, level: Level) -> float:
-    """Largest local ratio of mesh sizes, those of ``coarse`` over those of the level."""
     from adaptmg.transfer import mesh_ratio
 
     return mesh_ratio(coarse, level.mesh)

@@ -43,8 +43,6 @@ from adaptmg.problem import (
 if TYPE_CHECKING:
     from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["incline", "leaning_strut", "patch_mesh", "two_block_patch"]
-
 _STEEPEST = 30.0
 
 
@@ -52,6 +50,10 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
                     side_pressure: float = 0.0, young: float = 2.1e11, poisson: float = 0.3, size: float = 0.1
                     ) -> ContactProblem:
     """Two blocks of one material, one on the other, under uniform stress: the patch test of contact.
+
+    Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons, or
+    their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the tangential one)
+    on the interface, Pa, which the law must bear. For meshes see :func:`patch_mesh`.
 
     Parameters
     ----------
@@ -67,13 +69,6 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
         Of both blocks, Pa, and a number.
     size : float
         Width and depth of the blocks, m; each is ``size`` high in the mean.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons,
-        or their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the
-        tangential one) on the interface, Pa, which the law must bear. For meshes see :func:`patch_mesh`.
 
     Examples
     --------
@@ -185,6 +180,10 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
     The block of weight W presses on the slab with W cos(angle) and pulls down it with W sin(angle): it rests if and
     only if tan(angle) <= mu. The gravity points down; the slab is held at its underside.
 
+    Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t`` (resultants normal to
+    the slab and along it, N/m) and, with a constant coefficient of friction, ``holds``: where it is False,
+    :func:`adaptmg.solve` refuses the problem.
+
     Parameters
     ----------
     law : Law
@@ -197,13 +196,6 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
         Of the block, kg/m^3; the slab has no weight.
     young, poisson : float
         Of both bodies, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t`` (resultants
-        normal to the slab and along it, N/m) and, with a constant coefficient of friction, ``holds``: where it is
-        False, :func:`adaptmg.solve` refuses the problem.
 
     Examples
     --------
@@ -237,7 +229,6 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
 
 
 def _tilted(x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]) -> Polygon:
-    """A rectangle turned about the origin by an angle in degrees."""
     c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     corners = ((x, y), (x + width, y), (x + width, y + height), (x, y + height))
     return Polygon(vertices=tuple((c * p - s * q, s * p + c * q) for p, q in corners), boundaries=names)

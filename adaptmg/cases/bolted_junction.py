@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from adaptmg.solver.contact_result import ContactResult
     from adaptmg.solver.result import Result
 
-__all__ = ["Flanges", "bolt_force", "bolted_junction", "joint_opening", "junction_path", "open_to", "sealing_pressure"]
-
 _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
            "nothing published stands behind them.")
 
@@ -79,6 +77,11 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
                     flanges: Flanges | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """Two vessels bolted together, under internal pressure.
 
+    Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first contact
+    pair is the joint. ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N); with the
+    default parameters in 2D also ``values`` by mesh convergence: ``open_to``, ``slip_to``, ``peak_at`` (radii, m),
+    ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N; of the ring).
+
     Parameters
     ----------
     dim : {2, 3}
@@ -99,14 +102,6 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
         Dimensions; by default 16 bolts of 24 mm, in 3D 8 bolts of the same section.
     young, poisson : float
         Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first
-        contact pair is the joint. ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N);
-        with the default parameters in 2D also ``values`` by mesh convergence: ``open_to``, ``slip_to``, ``peak_at``
-        (radii, m), ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N; of the ring).
 
     Examples
     --------
@@ -323,14 +318,12 @@ def _flange_section(flanges: Flanges, thickness: float, bolt: str) -> Polygon:
 
 
 def _mirrored(profile: Polygon) -> Polygon:
-    """The section on the other side of z = 0, counter-clockwise again."""
     vertices = tuple((r, -z) for r, z in reversed(profile.vertices))
     names = tuple(reversed(profile.boundaries))
     return Polygon(vertices=vertices, boundaries=names[1:] + names[:1])
 
 
 def _ring_section(flanges: Flanges) -> Polygon:
-    """I-shaped section of the equivalent ring."""
     f, head, shank = flanges, 0.5 * flanges.seat, 0.5 * flanges.shank
     tip, top, low, end = f.upper + f.head_height, f.upper, -f.lower, -f.lower - f.head_height
     corners = [((-head, end), "tip"), ((head, end), "side"), ((head, low), "lower_head"), ((shank, low), "side"),
@@ -351,7 +344,6 @@ def _bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
 
 
 def _drilled(profile: Polygon, flanges: Flanges, places: list[tuple[float, float]]) -> SolidDomain:
-    """A flange as a solid with its holes."""
     solid: SolidDomain = Revolution(profile, angle=90.0)
     reach = 2 * flanges.clamped
     for x, y in places:

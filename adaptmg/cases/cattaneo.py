@@ -37,8 +37,6 @@ from adaptmg.problem import (
     Traction,
 )
 
-__all__ = ["PartialSlip", "cattaneo", "cattaneo_path"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PartialSlip:
@@ -80,6 +78,9 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
              young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """A cylinder on a block of the same material under a normal and a tangential load.
 
+    Bodies and meshes are those of :func:`~adaptmg.cases.hertz.hertz_cylinder`; ``reference`` also holds, with a
+    constant coefficient of friction, ``stick`` (c, m) and ``partial_slip`` (:class:`PartialSlip`).
+
     Parameters
     ----------
     law : Law
@@ -92,12 +93,6 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
         Of the cylinder, m.
     young, poisson : float
         Of both bodies, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies and meshes are those of :func:`~adaptmg.cases.hertz.hertz_cylinder`; ``reference`` also holds, with a
-        constant coefficient of friction, ``stick`` (c, m) and ``partial_slip`` (:class:`PartialSlip`).
 
     Notes
     -----
@@ -143,7 +138,6 @@ def cattaneo_path(steps: int = 1) -> LoadPath:
 
 
 def _half_cylinder(radius: float, a: float) -> Outline:
-    """Flat at its middle plane y = radius."""
     (x, y), center = on_circle(radius, SLAVE_REACH * a), (0.0, radius)
     return Outline(vertices=((-radius, radius), (-x, y), (0.0, 0.0), (x, y), (radius, radius)),
                    boundaries=("side", "contact", "contact", "side", "top"),

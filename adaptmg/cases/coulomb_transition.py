@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from adaptmg.estimate.reference_error import EnergyError
     from adaptmg.solver.result import Result
 
-__all__ = ["DisplacementComponent", "TractionComponent", "TransitionField", "coulomb_transition", "transition_exponent",
-           "transition_mode"]
-
 
 def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign: str = "+",  # noqa: B008
                        pressure: float = 1e8, young: float = 1.3e11, poisson: float = 0.2) -> ContactProblem:
     """A transition of contact states with its exact solution; plane strain.
+
+    ``reference`` holds ``field`` (:class:`TransitionField`), ``exponent``, ``transition`` (0.0, m) and ``uniform_rate``
+    (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).
 
     Parameters
     ----------
@@ -52,12 +52,6 @@ def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign:
         Of "open" the pressure at x = 1, of "stick" the uniform compression, Pa, > 0.
     young, poisson : float
         Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        ``reference`` holds ``field`` (:class:`TransitionField`), ``exponent``, ``transition`` (0.0, m) and
-        ``uniform_rate`` (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).
 
     Examples
     --------

@@ -38,8 +38,6 @@ from adaptmg.problem import (
     Traction,
 )
 
-__all__ = ["dovetail"]
-
 _MM = 1e-3
 _NECK, _RISE, _DEPTH, _CHAMFER = 12.0, 24.0, 16.0, 3.0
 _SIDE, _BOTTOM = 36.0, 40.0
@@ -52,6 +50,10 @@ _DEFAULTS = {"angle": 50.0, "clearance": 0.0, "pull": 100e6, "clamp": 120e6, "yo
 def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float = 0.0, pull: float = 100e6,  # noqa: B008
              clamp: float = 120e6, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """The dovetail joint; a reconstruction with our own geometry and loads.
+
+    Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name -> position,
+    m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state -> ranges of depth below the mouth,
+    m), ``tolerances`` of both (m), ``sources`` and ``remark``; otherwise only ``remark``.
 
     Parameters
     ----------
@@ -67,13 +69,6 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
         Pressure on the side of the block, Pa.
     young, poisson : float
         Of both parts, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name ->
-        position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state -> ranges of depth
-        below the mouth, m), ``tolerances`` of both (m), ``sources`` and ``remark``; otherwise only ``remark``.
 
     Examples
     --------

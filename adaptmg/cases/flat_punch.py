@@ -37,8 +37,6 @@ from adaptmg.problem import (
 if TYPE_CHECKING:
     from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["PunchPressure", "flat_punch", "flat_punch_meshes", "point_meshes"]
-
 # depth and half the width of the block, in half-widths of the punch
 _SIZE = 40.0
 
@@ -65,6 +63,9 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
                young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """A flat rigid punch on a block 40 half-widths deep and 80 wide; plane strain, one half by symmetry.
 
+    ``reference`` holds, without friction, ``pressure`` (:class:`PunchPressure`, of x in m), ``exponent`` (of the
+    singularity at the edge) and ``sources``. For meshes see :func:`flat_punch_meshes`.
+
     Parameters
     ----------
     law : Law
@@ -75,12 +76,6 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
         a, m.
     young, poisson : float
         Of the block, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        ``reference`` holds, without friction, ``pressure`` (:class:`PunchPressure`, of x in m), ``exponent`` (of the
-        singularity at the edge) and ``sources``. For meshes see :func:`flat_punch_meshes`.
 
     Examples
     --------
@@ -128,13 +123,10 @@ _LARGEST = 0.65
 
 def point_meshes(domain: Domain, points: Sequence[Sequence[float]], *, size: float, radius: float, levels: int,
                  factor: float, grading: float) -> list[MeshArrays]:
-    """Return independent meshes of a domain, coarse to fine.
-
-    On the finest the edges have the length ``size`` within ``radius`` of the points and grow by ``grading`` per
-    distance beyond, up to .65 ``grading`` times the largest extent of a body; on each coarser one all of this is
-    multiplied by ``factor``. The growth is limited by 1 only, so that a coarse mesh is nowhere finer than the next:
-    else some coarse functions would be seen by no fine node.
-    """
+    """Return independent meshes of a domain, coarse to fine. On the finest the edges have the length ``size`` within
+    ``radius`` of the points and grow by ``grading`` per distance beyond, up to .65 ``grading`` times the largest extent
+    of a body; on each coarser one all of this is multiplied by ``factor``. The growth is limited by 1 only, so that a
+    coarse mesh is nowhere finer than the next: else some coarse functions would be seen by no fine node."""
     from adaptmg.mesh import SizeNear, sized
 
     grading = checks.positive("grading", grading)

@@ -35,8 +35,6 @@ from adaptmg.problem import (
     Support,
 )
 
-__all__ = ["ParabolicGap", "curved_obstacle", "greco_bar", "greco_block", "upset_block"]
-
 _POINTS = {"A": (0.0, 0.0), "B": (1.25e-3, 0.0), "C": (5e-3, 0.0), "D": (7.5e-3, 0.0), "E": (11.25e-3, 0.0)}
 _SSNV128 = {"A": 2.86e-5, "B": 2.72e-5, "C": 2.28e-5, "D": 1.98e-5, "E": 1.50e-5}
 _CONVERGED = {"A": 2.860321e-5, "B": 2.722589e-5, "C": 2.286829e-5, "D": 1.980758e-5, "E": 1.541403e-5}
@@ -56,6 +54,10 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
               young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3) -> ContactProblem:
     """The GRECO bar.
 
+    ``reference`` holds ``quantity``, ``points`` (name -> position, m), ``values`` (source -> point -> m), ``sources``,
+    ``remark`` and ``zones`` (state -> range of x, m) for the default parameters, without friction for all with
+    ``top_pressure`` > 0; otherwise it is empty.
+
     Parameters
     ----------
     law : Law
@@ -66,13 +68,6 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
         Pa, and a number.
     size : float
         Side of the square, m.
-
-    Returns
-    -------
-    ContactProblem
-        ``reference`` holds ``quantity``, ``points`` (name -> position, m), ``values`` (source -> point -> m),
-        ``sources``, ``remark`` and ``zones`` (state -> range of x, m) for the default parameters, without friction for
-        all with ``top_pressure`` > 0; otherwise it is empty.
 
     Examples
     --------
@@ -98,7 +93,6 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
 
 
 def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float, size: float) -> dict[str, object]:
-    """The closed form without friction."""
     nu = material.poisson
     strain = (-(1 - nu**2) * side_pressure + nu * (1 + nu) * top_pressure) / material.young
     exact = {name: -(1 - fraction) * size * strain for name, fraction in
@@ -171,6 +165,8 @@ def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pres
 
     The gap under the bottom is (size - x)^2 / (2 radius).
 
+    By default ``reference["touching"]`` is the number of touching nodes, by divisions of the uniform mesh.
+
     Parameters
     ----------
     law : Law
@@ -179,11 +175,6 @@ def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pres
         Radius of curvature of the obstacle, m.
     top_pressure, side_pressure, young, poisson, size : float
         As in :func:`~adaptmg.cases.greco.greco_bar`.
-
-    Returns
-    -------
-    ContactProblem
-        By default ``reference["touching"]`` is the number of touching nodes, by divisions of the uniform mesh.
 
     Examples
     --------
@@ -210,18 +201,15 @@ def upset_block(*, law: Law = Coulomb(0.5), top_pressure: float = 5e7, young: fl
     Friction holds the foot, so that sticking contact meets the free 90 degree corner at x = 0: there u ~ r^lambda with
     lambda < 1.
 
+    ``reference`` holds, for friction 0.5 and Poisson's ratio 0.2 or 0.3, ``exponent`` (lambda) and ``uniform_rate``:
+    the energy error falls like N^-uniform_rate on uniform meshes of N nodes.
+
     Parameters
     ----------
     law : Law
         On the plane y = 0.
     top_pressure, young, poisson, size : float
         As in :func:`~adaptmg.cases.greco.greco_bar`.
-
-    Returns
-    -------
-    ContactProblem
-        ``reference`` holds, for friction 0.5 and Poisson's ratio 0.2 or 0.3, ``exponent`` (lambda) and
-        ``uniform_rate``: the energy error falls like N^-uniform_rate on uniform meshes of N nodes.
 
     Examples
     --------

@@ -44,9 +44,6 @@ from adaptmg.problem.solid_domains import Revolution
 if TYPE_CHECKING:
     from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["HertzContact", "LineContact", "PointContact", "hertz_cylinder", "hertz_sphere", "line_contact_meshes",
-           "pressure_fit"]
-
 # the largest half-width over the smallest radius
 _LARGEST = 0.1
 # lengths of the surfaces that may touch, in half-widths; the master reaches further than the slave
@@ -160,6 +157,10 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
                    lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """A cylinder on a block, or on another cylinder; plane strain, one half by symmetry.
 
+    Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``half_width`` (m), ``peak``
+    (Pa), ``closed_form`` (:class:`LineContact`), ``sources`` and ``remark``. For meshes see
+    :func:`line_contact_meshes`.
+
     Parameters
     ----------
     law : Law
@@ -172,13 +173,6 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
         Of the body below, m; None for a block with a flat top.
     young, poisson : float
         Of both bodies, Pa, and a number.
-
-    Returns
-    -------
-    ContactProblem
-        Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``half_width`` (m), ``peak``
-        (Pa), ``closed_form`` (:class:`LineContact`), ``sources`` and ``remark``. For meshes see
-        :func:`line_contact_meshes`.
 
     Examples
     --------

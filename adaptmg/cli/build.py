@@ -31,10 +31,6 @@ from adaptmg.problem.plane_domains import Domain
 from adaptmg.solver.record import Solver
 from adaptmg.study.record import Value
 
-__all__ = ["METHODS", "OBJECTS", "PURPOSE", "SETTINGS", "Key", "Settings", "WrongSetting", "adaptation", "case_keys",
-           "check", "from_texts", "grids", "keys_of", "load_path", "name_of", "problem_of", "section", "sections",
-           "sensible_grids", "setting", "solver_of"]
-
 Settings = Mapping[str, Value]
 #: keyword arguments of a class or function, and what makes an object or a problem from them
 Arguments = dict[str, Any]
@@ -118,7 +114,6 @@ def _class_of(argument: str, name: Value, kinds: Sequence[type]) -> type:
 
 @cache
 def _parameters(function: Maker) -> dict[str, tuple[inspect.Parameter, tuple[type, ...]]]:
-    """Arguments that settings can give, with the classes of those that are objects."""
     found = {}
     for name, item in inspect.signature(function).parameters.items():
         if name in OBJECTS and not str(item.annotation).startswith("str"):
@@ -214,15 +209,12 @@ def _first_sentence(name: str, text: str) -> str:
 
 
 def _unmarked(text: str) -> str:
-    """Text without the markup of docstrings."""
     return re.sub(r":\w+:`~?([^`]*)`", r"\1", text).replace("`", "").strip()
 
 
 def arguments_of(function: Maker, given: Arguments, before: str, what: str) -> Arguments:
-    """Return keyword arguments of a class or function, and remove them from ``given``.
-
-    In messages keys begin with ``before``, such as "solver.", and ``what`` names the function.
-    """
+    """Return keyword arguments of a class or function, and remove them from ``given``. In messages keys begin with
+    ``before``, such as "solver.", and ``what`` names the function."""
     found: Arguments = {}
     known = _parameters(function)
     for name in (name for name, (_, kinds) in known.items() if not kinds):
@@ -372,7 +364,6 @@ def setting(known: Mapping[str, Mapping[str, Key]], name: str, value: object, pl
 
 
 def _plain(name: str, value: object, place: str) -> Value:
-    """Return a value that can be a parameter; lists become tuples."""
     if isinstance(value, list | tuple):
         return tuple(_plain(f"{name}[{k}]", item, place) for k, item in enumerate(value))
     if isinstance(value, bool | int | float | str):
@@ -494,7 +485,6 @@ def _grid_arguments(task: am.ContactProblem, given: Arguments
 
 
 def _parts(task: am.ContactProblem) -> dict[str, Domain]:
-    """Domains by name of body; of a single one the name is empty."""
     return getattr(task.domain, "parts", {"": task.domain})
 
 

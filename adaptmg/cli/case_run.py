@@ -17,8 +17,6 @@ from adaptmg.study.record import Scalar, Value
 if TYPE_CHECKING:
     from adaptmg.solver.result import Result
 
-__all__ = ["COLUMNS", "MEASURES", "Solved", "case_run", "solved", "units_of"]
-
 #: the measures of a file without [measure]
 COLUMNS = ("cycles", "work_units", "residual", "nodes")
 
@@ -46,19 +44,16 @@ def _states(solved: Solved, code: int) -> int:
 
 
 def _along(solved: Solved, boundary: str = "contact") -> dict[str, float | None]:
-    """Return the components of the force on a boundary; None for the third in 2D."""
     force = solved.result.resultant(boundary).force
     return {axis: float(force[k]) if k < len(force) else None for k, axis in enumerate("xyz")}
 
 
 def _largest(values: np.ndarray) -> float:
-    """Return the largest absolute value or length of a vector, 0 without values."""
     sizes = np.linalg.norm(values, axis=1) if values.ndim > 1 else np.abs(values)
     return float(sizes.max(initial=0.0))
 
 
 def _in_contact(solved: Solved, name: str) -> np.ndarray:
-    """Return a contact quantity at the nodes that are not open."""
     contact = solved.result.contact
     return getattr(contact, name)[contact.state != am.OPEN]
 
@@ -126,10 +121,8 @@ def case_run(**settings: Value) -> dict[str, object]:
 
 def solved(settings: Settings, callback: Callable[[dict[str, float]], None] | None = None,
            each: Callable[[am.Step], None] | None = None, store: str | os.PathLike[str] | None = None) -> Solved:
-    """Solve once, along a load path, or on meshes that follow the error.
-
-    ``callback`` is told of the progress, ``each`` of every step of an adaptive loop, which ``store`` keeps.
-    """
+    """Solve once, along a load path, or on meshes that follow the error. ``callback`` is told of the progress, ``each``
+    of every step of an adaptive loop, which ``store`` keeps."""
     problem, path = problem_of(section(settings, "case")), load_path(settings)
     if section(settings, "adapt"):
         steps = []

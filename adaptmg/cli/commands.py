@@ -22,8 +22,6 @@ from typing import TextIO
 from adaptmg import __version__
 from adaptmg._text import printable
 
-__all__ = ["main"]
-
 _STORED = "finished runs are stored, the same command goes on"
 #: sections of a study file whose keys are the options of a command
 _SECTIONS = {"solve": ("case", "hierarchy", "solver"), "adapt": ("case", "adapt")}
@@ -152,7 +150,6 @@ def _add_settings(parser: _Parser, command: str) -> None:
 
 
 def _settings(given: Namespace) -> dict[str, object]:
-    """Return the settings of options and of ``--set``, checked."""
     from adaptmg.cli import build
 
     texts = {name: text for name, text in vars(given).items() if "." in name}
@@ -172,9 +169,9 @@ def _cases(given: Namespace) -> None:
     from adaptmg.cases import CASES
 
     if given.case is not None:
-        from adaptmg.cli import explain
+        from adaptmg.cli import study_file
 
-        _print_json(explain.case_facts(given.case)) if given.json else _say(explain.about_case(given.case))
+        _print_json(study_file.case_facts(given.case)) if given.json else _say(study_file.about_case(given.case))
     elif given.json:
         _print_json([{"name": name, "description": case.description} for name, case in CASES.items()])
     else:
@@ -183,16 +180,15 @@ def _cases(given: Namespace) -> None:
 
 
 def _solve(given: Namespace) -> int:
-    from adaptmg.cli import case_run, outcome
-    from adaptmg.cli.output import watched
+    from adaptmg.cli import case_run, output
 
-    folder, settings = outcome.folder(given.out), _settings(given)
-    with watched() as callback:
+    folder, settings = output.folder(given.out), _settings(given)
+    with output.watched() as callback:
         solved = case_run.solved(settings, callback)
-    files = outcome.write(folder, solved)
+    files = output.write(folder, solved)
     result = solved.result
     if given.json:
-        _print_json(outcome.summary(result, files))
+        _print_json(output.summary(result, files))
     else:
         _say("\n".join([str(solved.grids), "", str(result), *(f"wrote {file}" for file in files)]))
     if not result.status.ok:
@@ -201,38 +197,35 @@ def _solve(given: Namespace) -> int:
 
 
 def _adapt(given: Namespace) -> None:
-    from adaptmg.cli import case_run, outcome
-    from adaptmg.cli.output import watched_loop
+    from adaptmg.cli import case_run, output
     from adaptmg.estimate.step import Step
 
-    folder, settings = outcome.folder(given.out), _settings(given)
+    folder, settings = output.folder(given.out), _settings(given)
     waiting: list[str] = []
-    with watched_loop() as progress:
+    with output.watched_loop() as progress:
         # lines would run into the bar: they wait until it ends
         say = waiting.append if given.json or progress is not None else _say
         say(Step.HEADER)
         solved = case_run.solved(settings, progress, each=lambda step: say(step.row), store=given.store)
-    files = outcome.write(folder, solved)
+    files = output.write(folder, solved)
     if given.json:
-        _print_json(outcome.loop_summary(solved.steps, files))
+        _print_json(output.loop_summary(solved.steps, files))
     else:
         _say("\n".join([*waiting, solved.steps[-1].outcome, "", str(solved.result),
                         *(f"wrote {file}" for file in files)]))
 
 
 def _study(given: Namespace) -> int:
-    if given.keys or given.template is not None:
-        from adaptmg.cli import explain
+    from adaptmg.cli import study_file
 
+    if given.keys or given.template is not None:
         if given.json:
-            _print_json(explain.key_facts() if given.keys else {"template": explain.template(given.template)})
+            _print_json(study_file.key_facts() if given.keys else {"template": study_file.template(given.template)})
         else:
-            _say(explain.keys() if given.keys else explain.template(given.template))
+            _say(study_file.keys() if given.keys else study_file.template(given.template))
         return 0
     if given.file is None:
         raise ValueError("give a file: adaptmg study FILE.toml; --template CASE prints one to begin with")
-    from adaptmg.cli import study_file
-
     described = study_file.read(given.file)
     options = {**described.options, "rerun": given.rerun, "retry_failed": given.retry_failed}
     if given.workers is not None or given.scheduler is not None:
@@ -354,7 +347,6 @@ def _errors(texts: Sequence[str]) -> Iterator[None]:
 
 def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
           line: str | None = None) -> None:
-    """Print a warning as a line, without its place in Python."""
     _say(f"adaptmg: warning: {' '.join(str(message).split())}", err=True)
 
 
@@ -365,7 +357,6 @@ def _fail(text: str, as_json: bool) -> None:
 
 
 def _words(error: Exception) -> str:
-    """Return the message of an exception, without numbers of the operating system."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror if error.filename is None else f"{error.strerror}: {error.filename!r}"
     if isinstance(error, MemoryError):
@@ -375,7 +366,6 @@ def _words(error: Exception) -> str:
 
 
 def _say(text: str, err: bool = False) -> None:
-    """Print any text on any terminal; characters that it cannot show become codes."""
     stream = sys.stderr if err else sys.stdout
     if stream is not None:
         code = getattr(stream, "encoding", None) or "utf-8"

@@ -17,8 +17,6 @@ from adaptmg.study.record import DETAILS, RESERVED, Record, frame
 from adaptmg.study.store import Store
 from adaptmg.study.tables import cells, numeric
 
-__all__ = ["chosen", "ending", "opened", "parsed", "report", "selected", "short", "units", "write"]
-
 Condition = tuple[str, str, str]
 
 
@@ -45,11 +43,8 @@ def chosen(path: Path, names: Sequence[str], name: str | None) -> str:
 
 def selected(store: Store, name: str, *, status: str | None = None, where: Sequence[Condition] = (),
              limit: int | None = None, details: bool = False) -> tuple[pd.DataFrame, int]:
-    """Return runs of a study in the order of storing, and their number without ``limit``.
-
-    Parameters that are the same in all runs of the study are left out. Only runs that are shown are read, unless there
-    are conditions.
-    """
+    """Return runs of a study in the order of storing, and their number without ``limit``. Parameters that are the same
+    in all runs of the study are left out. Only runs that are shown are read, unless there are conditions."""
     if where:
         records = _matching(store.runs(name, status), where)
         total, records = len(records), records[:limit]
@@ -166,7 +161,6 @@ def _value(record: Record, name: str) -> object:
 
 
 def _holds(value: object, sign: str, text: str) -> bool:
-    """Whether a value meets a condition: as text, as a number, or as JSON (true, null, lists)."""
     plain = type(value) in (int, float)
     if sign in _ORDERED:
         return plain and _ORDERED[sign](value, float(text))
@@ -206,7 +200,6 @@ def write(table: pd.DataFrame, path: Path, units: Mapping[str, str] | None = Non
 
 
 def _plain(value: object) -> object:
-    """Return lists as JSON, texts as UTF-8 takes them."""
     if isinstance(value, tuple):
         return json.dumps(value)
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
@@ -221,7 +214,6 @@ def _of_one_type(column: pd.Series) -> pd.Series:
 
 
 def _latex(table: pd.DataFrame, units: Mapping[str, str] | None) -> str:
-    """Return a tabular of booktabs, numbers right-aligned."""
     headers, columns = cells(table, units)
     kinds = "".join("r" if numeric(column) else "l" for _, column in table.items())
     made = pd.DataFrame(dict(zip(headers, columns, strict=True)))

@@ -16,8 +16,6 @@ from adaptmg._text import brief
 from adaptmg.problem.contact_problem import CONTACT
 from adaptmg.problem.laws import Law
 
-__all__ = ["SMALLEST", "ContactNodes", "bounded", "check_bounds", "check_size", "checked_bodies", "checked_mask",
-           "checked_matrix", "with_positive_diagonal"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactNodes:
@@ -213,9 +211,7 @@ def with_positive_diagonal(matrix: sparse.bsr_array) -> sparse.bsr_array:
 
 def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
     """ValueError unless each block is the transpose of its counterpart, relative to the diagonals of its two nodes.
-
-    sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part is judged by its own stiffness.
-    """
+    sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part is judged by its own stiffness."""
     difference = matrix - matrix.T
     if not difference.nnz:
         return

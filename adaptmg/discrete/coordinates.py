@@ -33,9 +33,6 @@ from scipy import sparse
 from adaptmg._check_arrays import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
 
-__all__ = ["NEGLIGIBLE", "Coupling", "Unknowns", "facing_part", "frames_of", "from_frames", "rotate", "rotate_back",
-           "to_frames"]
-
 #: the largest weight that counts as none
 NEGLIGIBLE = 1e-6
 _ROUNDING = 1e-13
@@ -94,10 +91,8 @@ class Coupling:
         return narrowed(sparse.bsr_array(matrix + change, blocksize=(dim, dim)).sorted_indices())
 
     def prolongation(self, nodal: sparse.csr_array, coarse: Coupling) -> sparse.csr_array:
-        r"""A nodal prolongation P in relative coordinates on both levels, :math:`(I - W_f)\,P\,(I - W_c)^{-1}`.
-
-        It spans the space that P spans: rigid motions of both bodies and all else that P reproduces.
-        """
+        r"""A nodal prolongation P in relative coordinates on both levels, :math:`(I - W_f)\,P\,(I - W_c)^{-1}`. It
+        spans the space that P spans: rigid motions of both bodies and all else that P reproduces."""
         inner = sparse.csr_array(nodal @ coarse.upward)
         result = sparse.csr_array(inner - self.weights @ inner)
         result.data[np.abs(result.data) < _ROUNDING] = 0.0
@@ -175,10 +170,8 @@ class Unknowns:
         return load
 
     def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
-        """Displacement (n_contact, dim) of the contact nodes relative to what they face, m.
-
-        Of the unknowns; between bodies that both are held, relative to what holds the other one.
-        """
+        """Displacement (n_contact, dim) of the contact nodes relative to what they face, m. Of the unknowns; between
+        bodies that both are held, relative to what holds the other one."""
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
         nodes = self.contact.nodes
         result, own = nodal[nodes], self.fixed.reshape(-1, self.dim)[nodes]
@@ -192,9 +185,7 @@ class Unknowns:
 
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
         """For each component the contact nodes at which it is fixed and faces fixed ones, and the weights of these.
-
-        Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component.
-        """
+        Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component."""
         if self.coupling is None:
             return []
         rows, fixed, result = self.coupling.weights[self.contact.nodes], self.fixed.reshape(-1, self.dim), []

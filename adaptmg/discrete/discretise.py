@@ -1,33 +1,45 @@
-"""From what is posed to what is solved: ContactProblem + mesh -> DiscreteProblem.
+r"""From what is posed to what is solved: ContactProblem + mesh -> DiscreteProblem.
 
 Bodies that touch each other are coupled by relative coordinates (:mod:`adaptmg.discrete.coordinates`).
+
+With the area vectors :math:`a_F` of the facets F of the contact boundary at node i,
+
+.. math:: n_i = \sum_F a_F \Big/ \Big|\sum_F a_F\Big|, \qquad w_i = \sum_F \int_F \varphi_i ,
+
+the area-weighted average normal and, in front of a rigid obstacle, the row sum of the boundary mass matrix (in
+axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.discrete.mortar.pairs`.
+
+A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it faces is found,
+there. In front of obstacles, facets of the other boundary count in its mass by the part that faces the same way. In a
+pair it carries no multiplier of the pair named later: that pair's multipliers next to it take over its part, and it
+follows as a plain node.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
 
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import OnDemand, one_blas_thread
-from adaptmg.discrete.contact import contact_data
 from adaptmg.discrete.contact_nodes import check_bounds, check_size
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.exchange import ScaledLaw, find_carriers
-from adaptmg.discrete.facets import fixed_dofs, supported_nodes
-from adaptmg.discrete.loads import load_vector
+from adaptmg.discrete.facets import area_vectors, fixed_dofs, named_facets, shape_integrals, supported_nodes
+from adaptmg.discrete.loads import load_vector, supported_stiffness
+from adaptmg.discrete.mortar.interface import MortarInterface, surface_normals
+from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.discrete.rigid_modes import rigid_motions
-from adaptmg.discrete.springs import supported_stiffness
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.contact_problem import ContactProblem
-
-__all__ = ["discretise", "rediscretise", "same"]
+from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.problem.surfaces import ContactPair
 
 _LOG = logging.getLogger(__name__)
 
@@ -37,6 +49,11 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
                ) -> DiscreteProblem:
     """Discretise by P1 elements on a mesh with every boundary that the problem names.
 
+    Its law has nodal parameters; its name is the problem's with the number of nodes.
+
+    ValueError if dimensions, boundary or body names differ, if a body has neither support nor contact, if the mesh has
+    fewer than dim + 1 contact nodes, or loads and supports do not fit it.
+
     Parameters
     ----------
     problem : ContactProblem
@@ -44,17 +61,6 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     slip_reference : (n_nodes, dim) array, optional
         Displacement against which slip is measured (the previous load step), m; at slave nodes relative to the
         master. Default 0.
-
-    Returns
-    -------
-    DiscreteProblem
-        Its law has nodal parameters; its name is the problem's with the number of nodes.
-
-    Raises
-    ------
-    ValueError
-        If dimensions, boundary or body names differ, if a body has neither support nor contact, if the mesh has fewer
-        than dim + 1 contact nodes, or loads and supports do not fit it.
 
     Examples
     --------
@@ -155,7 +161,6 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
 
 
 def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
-    """Nodes of each body."""
     result = {}
     for k, name in enumerate(mesh.bodies):
         used = np.zeros(mesh.n_nodes, dtype=bool)
@@ -175,3 +180,135 @@ def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.
         if not held[nodes].any():
             raise ValueError(f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
                              "support or a contact pair, or leave it out")
+
+
+_ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The nodes of one contact boundary in front of an obstacle: arrays over them."""
+
+    nodes: np.ndarray
+    normals: np.ndarray
+    weights: np.ndarray
+    gaps: np.ndarray
+
+
+def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
+                 excluded: np.ndarray | None = None) -> tuple[ContactNodes, sparse.csr_array | None]:
+    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow. ``excluded``
+    slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m."""
+    owner = np.full(mesh.n_nodes, -1)
+    facets = [named_facets(mesh, contact.boundary) for contact in problem.contact]
+    for k in reversed(range(len(facets))):
+        owner[facets[k]] = k
+    fixed = fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim)
+    parts = []
+    for k, contact in enumerate(problem.contact):
+        if isinstance(contact, ContactPair):
+            mine = np.unique(facets[k])
+            without = mine[owner[mine] != k]
+            if excluded is not None:
+                without = np.union1d(without, excluded)
+            parts.append(pair_interface(mesh, contact, fixed=fixed, excluded=without,
+                                        axisymmetric=problem.axisymmetric))
+        else:
+            parts.append(_in_front_of(contact, problem, mesh, facets, owner, k, fixed))
+    boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
+    nodes = np.concatenate([part.nodes for part in parts])
+    order = np.argsort(nodes)
+    nodes, boundary = nodes[order], boundary[order]
+    normals, weights, gaps = (np.concatenate([getattr(part, name) for part in parts])[order]
+                              for name in ("normals", "weights", "gaps"))
+    _check_supports(problem, mesh, nodes, boundary, fixed[nodes] & (np.abs(normals) > 1e-8))
+    if slip_reference is not None:
+        if np.shape(slip_reference) != mesh.points.shape:
+            raise ValueError(f"slip_reference must be a displacement of all nodes, shape {mesh.points.shape}, got "
+                             f"{np.shape(slip_reference)}")
+        slip_reference = check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
+    contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
+                           slip_reference=slip_reference,
+                           allow_interference=any(contact.allow_interference for contact in problem.contact),
+                           names=problem.contact_boundaries, masters=problem.masters)
+    return contact, _followed(parts, mesh.n_nodes)
+
+
+def _followed(parts: list[_Part | MortarInterface], n_nodes: int) -> sparse.csr_array | None:
+    """Rows (n_nodes, n_nodes) of what the nodes of all pairs face."""
+    coupled = [part for part in parts if isinstance(part, MortarInterface)]
+    if not coupled:
+        return None
+    rows = np.concatenate([np.repeat(part.nodes, np.diff(part.coupling.indptr)) for part in coupled])
+    columns = np.concatenate([part.coupling.indices for part in coupled])
+    values = np.concatenate([part.coupling.data for part in coupled])
+    return sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
+
+
+def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray],
+                 owner: np.ndarray, k: int, fixed: np.ndarray) -> _Part:
+    """The nodes that contact boundary k owns, in front of a rigid obstacle."""
+    nodes = np.unique(facets[k])
+    nodes = nodes[owner[nodes] == k]
+    try:
+        averaged = surface_normals(mesh.points, facets[k], fixed=fixed)[nodes]
+    except ValueError as error:
+        raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
+    weights = _lumped_masses(problem, mesh, facets, nodes, k, averaged)
+    normals, gaps = _facing(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
+    gaps = np.array(gaps, dtype=np.float64)
+    gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
+    if len(nodes) and gaps.min() < 0 and not contact.allow_interference:
+        deepest = int(np.argmin(gaps))
+        raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
+                         f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
+                         "allow_interference=True for an interference fit")
+    return _Part(nodes, normals, weights, gaps)
+
+
+def _lumped_masses(problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray], nodes: np.ndarray, k: int,
+                   normals: np.ndarray) -> np.ndarray:
+    """Boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
+    index = np.full(mesh.n_nodes, -1)
+    index[nodes] = np.arange(len(nodes))
+    weights = np.zeros(len(nodes))
+    for other, mine in enumerate(facets):
+        if other != k and isinstance(problem.contact[other], ContactPair):
+            continue
+        vectors = area_vectors(mesh.points, mine)
+        for corner, share in zip(mine.T, shape_integrals(mesh.points, mine, problem.axisymmetric).T, strict=True):
+            at = index[corner]
+            here = at >= 0
+            facing = np.linalg.norm(vectors[here], axis=1)
+            if other != k:
+                facing = np.maximum(0.0, np.sum(vectors[here] * normals[at[here]], axis=1))
+            np.add.at(weights, at[here], facing * share[here])
+    return weights
+
+
+def _facing(obstacle: object, boundary: str, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
+    if not isinstance(answer, (tuple, list)) or len(answer) != 2:
+        raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")
+    directions, gaps = answer
+    if np.shape(directions) != points.shape or np.shape(gaps) != (len(points),):
+        raise ValueError(f"{name} must return normals {points.shape} and gaps ({len(points)},), got "
+                         f"{np.shape(directions)} and {np.shape(gaps)}")
+    directions = check_arrays.array(f"{name}: its normals", directions, points.shape)
+    lengths = np.linalg.norm(directions, axis=1)
+    if len(points) and not np.abs(lengths - 1).max() <= 1e-6:
+        raise ValueError(f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}")
+    return directions, check_arrays.array(f"{name}: its gaps", gaps, (len(points),))
+
+
+def _check_supports(problem: ContactProblem, mesh: MeshArrays, nodes: np.ndarray, owner: np.ndarray,
+                    clash: np.ndarray) -> None:
+    """Raise ValueError if ``clash`` (n_contact, dim), a fixed component with a normal part, holds anywhere."""
+    if not clash.any():
+        return
+    i, d = (int(k[0]) for k in np.nonzero(clash))
+    support = next(s for s in problem.supports if fixed_dofs(mesh, [s])[0][mesh.dim * nodes[i] + d])
+    raise ValueError(f"the support on {support.place!r} fixes {'xyz'[d]}, which has a part normal to contact "
+                     f"boundary {problem.contact[owner[i]].boundary!r} at their common node {nodes[i]} "
+                     f"{tuple(mesh.points[nodes[i]].tolist())}: contact could never open there; free that component, "
+                     "or end one of the boundaries before the other begins")

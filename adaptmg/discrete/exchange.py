@@ -26,8 +26,6 @@ from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.coordinates import NEGLIGIBLE, facing_part
 from adaptmg.problem.laws import Law
 
-__all__ = ["Exchange", "ScaledLaw", "exchanged", "find_carriers", "rows_of_carriers"]
-
 #: the least weight of a node that takes the place of another
 _WEIGHT = 0.05
 

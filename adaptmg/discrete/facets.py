@@ -14,9 +14,6 @@ from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import AnySupport, PointSpring, PointSupport, Support, Symmetry
 
-__all__ = ["area_vectors", "boundary_supports", "fixed_dofs", "held_components", "named_facets", "node_at",
-           "shape_integrals", "supported_nodes"]
-
 _AT_POINT = 1e-9  # of the size of the mesh: nodes nearer to a point lie at it
 _ALONG_AXIS = 1e-9
 

@@ -20,8 +20,6 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import DEFAULT, name_in_path
 from adaptmg.problem.loads import InitialStrain
 
-__all__ = ["LoadSteps", "load_steps", "whole_load"]
-
 
 @dataclass(frozen=True, eq=False)
 class LoadSteps:

@@ -43,8 +43,6 @@ from adaptmg.discrete.rigid_modes import rigid_body_modes
 from adaptmg.problem.contact_problem import check_law
 from adaptmg.problem.laws import Law
 
-__all__ = ["ContactNodes", "DiscreteProblem", "rigid_body_modes"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DiscreteProblem(Unknowns):
@@ -133,15 +131,12 @@ class DiscreteProblem(Unknowns):
         relative. ``near_nullspace`` should hold the rigid-body modes of every body (one column a body and mode); with
         ``coordinates`` alone the bodies move together in it.
 
+        In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
+
         Parameters
         ----------
         weights : (n_nodes, n_nodes) sparse
             W: in the rows of slave nodes the nodes that they face, row sums 1.
-
-        Returns
-        -------
-        DiscreteProblem
-            In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
         """
         checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
         check_law(law)

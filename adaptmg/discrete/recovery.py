@@ -15,8 +15,6 @@ from adaptmg._runtime import inner_kernel, kernel, read_only
 from adaptmg.discrete.elasticity import list_elements
 from adaptmg.mesh.arrays import MeshArrays, facet_table
 
-__all__ = ["apart", "elements_of_nodes", "fitted", "recovered"]
-
 
 def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Elements and points, a point for each body that uses a node."""
@@ -123,10 +121,8 @@ def _sums(points, i, centroids, patch, count, values, terms, matrix, sides):
 @kernel
 def recover(points, centroids, elements, start, listed, boundary, values, marker, patch, nodal):
     """Write the recovered values ``nodal`` (n_nodes, n_values) from those of the elements (n_elements, n_values).
-
-    ``marker`` (n_elements,) comes as -1, ``patch`` (n_elements,) uninitialised. Where a patch is too small for a fit
-    it is widened, and if that does not help its mean is taken. Nodes without elements keep what ``nodal`` holds.
-    """
+    ``marker`` (n_elements,) comes as -1, ``patch`` (n_elements,) uninitialised. Where a patch is too small for a fit it
+    is widened, and if that does not help its mean is taken. Nodes without elements keep what ``nodal`` holds."""
     dim, n_values = points.shape[1], values.shape[1]
     matrix, sides, terms = np.empty((dim + 1, dim + 1)), np.empty((dim + 1, n_values)), np.ones(dim + 1)
     for i in range(len(start) - 1):

@@ -13,7 +13,6 @@ from scipy.sparse.csgraph import connected_components
 from adaptmg._runtime import one_blas_thread
 from adaptmg.mesh.arrays import MeshArrays
 
-__all__ = ["rigid_body_modes", "rigid_motions"]
 
 def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
     """Orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an uncoupled problem.
@@ -77,9 +76,7 @@ def rigid_body_modes(points: np.ndarray) -> np.ndarray:
 
 def _triangle(moments: np.ndarray, planes: tuple[tuple[int, int], ...]) -> np.ndarray | None:
     """The upper triangle that makes rotations in the planes orthonormal; None where they are (nearly) dependent.
-
-    ``moments`` (dim, dim) are the second moments of the points about their centroid.
-    """
+    ``moments`` (dim, dim) are the second moments of the points about their centroid."""
     same = np.eye(len(moments))
     gram = np.array([[same[a, c] * moments[b, d] - same[a, d] * moments[b, c] - same[b, c] * moments[a, d]
                       + same[b, d] * moments[a, c] for c, d in planes] for a, b in planes])

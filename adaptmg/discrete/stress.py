@@ -23,8 +23,6 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import InitialStrain, Load
 from adaptmg.problem.materials import PlaneStress
 
-__all__ = ["StressData", "as_tensors", "element_strain", "full_stress", "hoop_strain", "von_mises"]
-
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """Symmetric small-strain tensors (n_elements, dim, dim) in the plane (3D: full), initial strains included.

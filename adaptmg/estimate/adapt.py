@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     #: Any is an ngsolve.Mesh, which only mesh/ imports
     Start = float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None
 
-__all__ = ["adapt"]
-
 
 def adapt(problem: ContactProblem,
           start: float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None = None,

@@ -36,8 +36,6 @@ from adaptmg.solver.record import Run
 from adaptmg.solver.result import Result
 from adaptmg.transfer.galerkin import galerkin_product
 
-__all__ = ["AdjointSolution", "AdjointSystem", "LinearisedContact", "adjoint_system", "linearised_contact"]
-
 _LOG = logging.getLogger(__name__)
 
 #: slips below this part of the largest displacement are rounding
@@ -218,11 +216,9 @@ def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
 
 
 def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
-    r"""A V-cycle for the adjoint matrix M, which is not symmetric where nodes slip with Coulomb friction.
-
-    M is in local components with the dofs that cannot move decoupled, Z; with the frames F at contact nodes and the
-    nodal prolongation P the first coarse matrix is :math:`(Z F P)^T M Z F P`; those below are Galerkin products with P.
-    """
+    r"""A V-cycle for the adjoint matrix M, which is not symmetric where nodes slip with Coulomb friction. M is in local
+    components with the dofs that cannot move decoupled, Z; with the frames F at contact nodes and the nodal
+    prolongation P the first coarse matrix is :math:`(Z F P)^T M Z F P`; those below are Galerkin products with P."""
     levels, dim = hierarchy.levels, system.contact.discrete.dim
     prolongations = [_rotated(levels[-1].prolongation, system.contact, system.trial)]
     matrices = [split(system.matrix, ~system.trial)]

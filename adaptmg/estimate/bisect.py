@@ -26,8 +26,6 @@ from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.structured import structured
 from adaptmg.problem import Assembly, Box, ContactProblem, Rectangle
 
-__all__ = ["Bisect", "divisible"]
-
 #: how often fewer elements are marked until the mesh is small enough
 _TRIES = 12
 #: the part of the room that must be used, and that is aimed at
@@ -143,7 +141,6 @@ class Bisect:
 
 
 def _least(squares: np.ndarray, most: float) -> np.ndarray:
-    """Mask of the elements with the smallest squares, whose sum is at most ``most``."""
     order = np.argsort(squares, kind="stable")
     least = np.zeros(len(squares), dtype=bool)
     least[order] = np.cumsum(squares[order]) <= most

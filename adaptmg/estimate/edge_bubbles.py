@@ -34,8 +34,7 @@ from adaptmg.discrete.elasticity import (
     solid_gradients,
 )
 from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
-from adaptmg.discrete.loads import body_elements, load_density
-from adaptmg.discrete.springs import foundation
+from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate.adjoint import LinearisedContact
 from adaptmg.geometry.quadrature import (
@@ -49,8 +48,6 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import BodyForce, InitialStrain, Spring
 from adaptmg.smoother.system import ContactState as State
-
-__all__ = ["BubbleError", "BubbleSpaces", "EdgeBubbles", "bubble_error", "bubble_spaces", "edge_bubbles"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -243,11 +240,9 @@ def _add_actions(w, r, axisymmetric, local, edges, shape, gb, sigma, around, res
 @kernel
 def add_bubbles(points, elements, body, lame, shear, local, element_edges, axisymmetric, rule, weights, fields,
                 blocks, actions):
-    """Add the blocks a(b e_i, b e_j) of every edge and the actions a(field, b e_i) of every field.
-
-    ``local`` (k, 2): corners of an element's edges; ``fields`` (n_fields, n_nodes, dim); ``blocks`` (n_edges, dim, dim)
-    and ``actions`` (n_fields, n_edges, dim) come as 0.
-    """
+    """Add the blocks a(b e_i, b e_j) of every edge and the actions a(field, b e_i) of every field. ``local`` (k, 2):
+    corners of an element's edges; ``fields`` (n_fields, n_nodes, dim); ``blocks`` (n_edges, dim, dim) and ``actions``
+    (n_fields, n_edges, dim) come as 0."""
     dim, n_local = points.shape[1], len(local)
     g, gb = np.empty((dim + 1, dim)), np.empty((n_local, dim))
     slope, sigma = np.empty((dim, dim)), np.empty((dim, dim))
@@ -325,13 +320,11 @@ class BubbleSpaces:
 
 
 def bubble_spaces(bubbles: EdgeBubbles, contact: LinearisedContact) -> BubbleSpaces:
-    r"""The directions of all bubbles of a mesh, with supports, and contact linearised as at the nodes.
-
-    On a contact edge whose ends both touch an error has no part along the normal, and none at all where both stick;
-    dual directions of a slipping edge are :math:`t + \mu f n`. An edge with one open end counts as open, one with one
-    slipping end as slipping: of these the solution does not know where contact ends. The slip Hessian of 3D and
-    friction that holds open nodes (Tresca) are left out.
-    """
+    r"""The directions of all bubbles of a mesh, with supports, and contact linearised as at the nodes. On a contact
+    edge whose ends both touch an error has no part along the normal, and none at all where both stick; dual directions
+    of a slipping edge are :math:`t + \mu f n`. An edge with one open end counts as open, one with one slipping end as
+    slipping: of these the solution does not know where contact ends. The slip Hessian of 3D and friction that holds
+    open nodes (Tresca) are left out."""
     mesh, dim, problem = bubbles.mesh, bubbles.mesh.dim, bubbles.problem
     trial = np.broadcast_to(np.eye(dim), (len(bubbles.edges), dim, dim)).copy()
     test = trial.copy()

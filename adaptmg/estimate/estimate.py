@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from adaptmg.hierarchy import Hierarchy
     from adaptmg.solver.result import Result
 
-__all__ = ["Doerfler", "Estimate", "Indicator", "Mark", "Maximum", "estimate_of", "marks_of"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
@@ -121,7 +119,6 @@ class Estimate:
 
 
 def _checked_squares(name: str, squares: object) -> np.ndarray:
-    """A read-only copy."""
     try:
         values = np.asarray(squares)
     except (TypeError, ValueError):
@@ -247,5 +244,4 @@ def _share(theta: float) -> float:
 
 
 def _squares(estimate: Estimate | np.ndarray) -> np.ndarray:
-    """Squares of an estimate, or an array of them."""
     return estimate.squares if isinstance(estimate, Estimate) else _checked_squares("estimate", estimate)

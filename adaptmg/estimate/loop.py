@@ -47,8 +47,6 @@ from adaptmg.solver.result import Result
 from adaptmg.solver.solve import solve
 from adaptmg.transfer.interpolation import size_ratio
 
-__all__ = ["AdaptiveLoop", "Parts", "Progress", "appended", "carried", "posed_at", "solved", "thinned"]
-
 _LOG = logging.getLogger(__name__)
 
 Progress = Callable[[dict[str, float | str]], None]
@@ -182,7 +180,6 @@ class AdaptiveLoop:
 
     @one_blas_thread()
     def _carry(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, np.ndarray]:
-        """The hierarchy with the next mesh, and the displacement of the last step on it."""
         self._report("assembly", mesh.n_nodes)
         before = last.hierarchy
         with self.clock.phase("levels"):
@@ -239,7 +236,6 @@ class AdaptiveLoop:
         return self.steering
 
     def _restored(self, number: int, stored: StoredStep) -> Step:
-        """A step from the store."""
         hierarchy = self.meshes.take(number, stored.result.mesh, stored.extra, stored.levels)
         # one mesh for both, with its source
         result = replace(stored.result, mesh=hierarchy.finest.mesh)
@@ -253,7 +249,6 @@ class AdaptiveLoop:
         _LOG.debug("%s", step)
 
     def _report(self, phase: str, nodes: int) -> None:
-        """Report a phase to the user's callback."""
         if self.progress is None:
             return
         last = self.done[-1] if self.done else None
@@ -319,10 +314,8 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarch
 
 
 def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
-    """Without the levels next to the finest that are too close to their neighbours and not needed.
-
-    A single one that is too close to the ``last`` mesh stays: its cycles cost less than to do without it.
-    """
+    """Without the levels next to the finest that are too close to their neighbours and not needed. A single one that is
+    too close to the ``last`` mesh stays: its cycles cost less than to do without it."""
     if last and (len(hierarchy) < 3 or hierarchy[-2].n_nodes >= CLOSE * hierarchy[-3].n_nodes):
         return hierarchy
     for level in (len(hierarchy) - 2, len(hierarchy) - 3):
@@ -355,11 +348,9 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
 
 
 def _path_estimate(hierarchy: Hierarchy, parts: Parts, results: PathResult) -> tuple[int, Estimate, Estimate]:
-    """The last load step, or the one with the largest relative estimate: number, estimate, and what to refine by.
-
-    Of several load steps each element counts with its largest share in the relative estimate of any step: a mesh made
-    for one step alone is too coarse where others need it, and the loop would alternate between them.
-    """
+    """The last load step, or the one with the largest relative estimate: number, estimate, and what to refine by. Of
+    several load steps each element counts with its largest share in the relative estimate of any step: a mesh made for
+    one step alone is too coarse where others need it, and the loop would alternate between them."""
     steps = range(len(results)) if parts.adapt_on == "worst" else (len(results) - 1,)
     estimates = {k: estimate_of(parts.indicator, posed_at(hierarchy, parts.load_path, results, k), results[k])
                  for k in steps if parts.adapt_on == "last" or results[k].displacement.any()}

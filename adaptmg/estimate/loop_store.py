@@ -19,7 +19,7 @@ import numpy as np
 
 from adaptmg.discrete.load_steps import load_steps
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.goal_view import GoalEstimate
+from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level, joined, level_of, the_transfer
 from adaptmg.mesh.arrays import MeshArrays
@@ -29,8 +29,6 @@ from adaptmg.solver.load_path import PathResult
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_file import damage
 from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
-
-__all__ = ["LoopStore", "Meshes", "StoredStep", "loop_fingerprint"]
 
 Key = tuple[int, int]
 _MESH = ("points", "elements", "facets", "facet_labels", "element_body")
@@ -98,7 +96,6 @@ _ARRAYS = ("values", "errors", "residuals")
 
 
 def _plain_estimate(estimate: Estimate) -> dict[str, object]:
-    """All fields but ``squares``, as JSON has them."""
     kind = type(estimate) if type(estimate) in _KINDS.values() else Estimate
     return {"kind": kind.__name__} | {part.name: _plain(getattr(estimate, part.name)) for part in fields(kind)
                                       if part.name != "squares"}

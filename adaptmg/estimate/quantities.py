@@ -23,12 +23,10 @@ from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
-from adaptmg.estimate.goal_view import Functional, GoalView
+from adaptmg.estimate.goal import Functional, GoalView
 from adaptmg.mesh.bisection.onto_domain import curved_boundaries, on_surface
 from adaptmg.problem import ContactPair
 from adaptmg.transfer import PointLocator
-
-__all__ = ["ContactForce", "Displacement", "MeanDisplacement", "Opening"]
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 #: how far outside its element a point may lie, over the size of the element
@@ -311,7 +309,6 @@ class Opening:
 
 
 def _nearest_facet(points: np.ndarray, facets: np.ndarray, x: np.ndarray) -> tuple[int, np.ndarray]:
-    """The facet that holds x best, and the barycentric weights (dim,) there, clipped to the facet."""
     corners = points[facets]
     sides = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
     inner = np.einsum("nij,nj->ni", np.linalg.pinv(sides), x - corners[:, 0])
@@ -363,10 +360,8 @@ def _middles(view: GoalView, name: str, facets: np.ndarray) -> tuple[np.ndarray,
 
 
 def _middle_gaps(view: GoalView, k: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gaps (n_nodes,), middles of the edges of facets of contact boundary k, and gaps (n, n_edges) there.
-
-    A node without a condition makes them NaN.
-    """
+    """Gaps (n_nodes,), middles of the edges of facets of contact boundary k, and gaps (n, n_edges) there. A node
+    without a condition makes them NaN."""
     contact, result, mesh = view.posed.problem.contact[k], view.posed.result.contact, view.posed.mesh
     gap, normal = np.full((2, mesh.n_nodes), np.nan)
     gap[result.node], normal[result.node] = result.gap, result.u_n

@@ -21,8 +21,6 @@ from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.result import Result
 
-__all__ = ["RecoveredStress", "Recovery", "recovered_energy", "recovered_stress"]
-
 
 @dataclass(frozen=True)
 class Recovery:
@@ -71,7 +69,6 @@ def recovered_stress(stress: ElementStress, across: np.ndarray) -> RecoveredStre
 
 
 def _sampled(stress: ElementStress) -> np.ndarray:
-    """Stress at the centroids, normal components first."""
     mesh, data, values, sampled = stress.mesh, stress.data, stress.values, np.empty((len(stress.values), 4))
     if not stress.axisymmetric:
         return values
@@ -156,11 +153,9 @@ def axisymmetric_stresses(points, elements, u, body, lame, shear, initial, value
 @kernel
 def axisymmetric_energy(points, elements, cells, u, volumes, body, lame, shear, initial, values, nodal, rule, weights,
                         squares):
-    """Write the energies (n_elements,) of recovered minus element stresses over the full circumference.
-
-    ``rule`` (n_points, 3) and ``weights`` (n_points,): points inside the element; there the element has the hoop
-    strain u_r / r.
-    """
+    """Write the energies (n_elements,) of recovered minus element stresses over the full circumference. ``rule``
+    (n_points, 3) and ``weights`` (n_points,): points inside the element; there the element has the hoop strain u_r /
+    r."""
     stress = np.empty(4)
     for e in range(len(elements)):
         k = body[e]

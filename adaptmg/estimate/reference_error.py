@@ -22,8 +22,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.facets import boundary_supports, supported_nodes
-from adaptmg.discrete.loads import load_vector
-from adaptmg.discrete.springs import supported_stiffness
+from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.estimate.stress_fields import posed
 from adaptmg.hierarchy import Hierarchy
@@ -32,8 +31,6 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import PointSupport
 from adaptmg.solver.result import Result
 from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
-
-__all__ = ["EnergyError", "Reference", "energy_error"]
 
 #: of the largest force: less is what the solver leaves at free nodes
 _IDLE = 1e-12
@@ -98,6 +95,9 @@ class Reference:
 def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result) -> EnergyError:
     """The error of a result in the energy norm.
 
+    As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0. ValueError without
+    a mesh, for other bodies, or where the squared error comes out negative.
+
     Parameters
     ----------
     reference : Reference, or (Hierarchy, Result)
@@ -105,12 +105,6 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     result : Result
         Of the same problem, on any mesh of the same domain with the same names. On curved boundaries the domains of two
         meshes differ, which counts as error too: on a pin with a fillet in 3D, 2 800 nodes, a quarter of it.
-
-    Returns
-    -------
-    EnergyError
-        As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0. ValueError
-        without a mesh, for other bodies, or where the squared error comes out negative.
     """
     if isinstance(reference, tuple) and len(reference) == 2:
         reference = Reference.of(*reference)
@@ -149,10 +143,8 @@ def _exerted(fixed: np.ndarray, result: Result) -> np.ndarray:
 
 
 def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
-    """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same on all meshes, m.
-
-    NaN elsewhere: of a function of position a coarse mesh has its own interpolant.
-    """
+    """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same on all meshes, m. NaN
+    elsewhere: of a function of position a coarse mesh has its own interpolant."""
     result = np.full(mesh.points.shape, np.nan)
     for support in (*boundary_supports(mesh, problem.supports),
                     *(one for one in problem.supports if isinstance(one, PointSupport))):

@@ -33,9 +33,6 @@ from adaptmg.geometry.location import SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
 
-__all__ = ["NodeCount", "Remesh", "SizeField", "equilibrated_sizes", "graded_sizes", "mean_sizes", "nodal_sizes",
-           "simplex_sizes"]
-
 #: growth of sizes per distance; at most what Netgen copes with by dimension, in refined meshes 2^k times less
 _GRADATION, _MAX_GRADING = 0.3, {2: 1.0, 3: 0.6}
 #: share of the nodes by which a mesh may miss the expected number without being made again
@@ -124,7 +121,6 @@ class Remesh:
         return _resolving(mesh, sizes, problem.pair_boundaries, self._growth(mesh.dim))
 
     def _growth(self, dim: int) -> float:
-        """Growth of sizes per distance that the meshes can have."""
         return min(_GRADATION, _MAX_GRADING[dim] / 2**self.refinements)
 
     def intermediate(self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays) -> MeshArrays:
@@ -155,7 +151,6 @@ def need_domain(problem: ContactProblem) -> None:
 
 
 def _aim(nodes: int, max_nodes: int | None, growth: float) -> float:
-    """Nodes to aim at in the next mesh."""
     if max_nodes is None:
         return growth * nodes
     aim = _BELOW * checks.integer("max_nodes", max_nodes, 1)
@@ -260,10 +255,8 @@ def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float,
 
 @kernel
 def _relax(points, elements, start, items, growth, sizes, queue, waiting):
-    """Lower ``sizes`` in place; ``queue`` (n_nodes,) holds all nodes, smallest first, ``waiting`` all True.
-
-    Dijkstra's method with a queue in place of a heap: a node returns to it where its size has fallen meanwhile.
-    """
+    """Lower ``sizes`` in place; ``queue`` (n_nodes,) holds all nodes, smallest first, ``waiting`` all True. Dijkstra's
+    method with a queue in place of a heap: a node returns to it where its size has fallen meanwhile."""
     n, dim = len(queue), points.shape[1]
     first, count = 0, n
     while count > 0:

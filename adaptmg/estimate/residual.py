@@ -28,8 +28,7 @@ import numpy as np
 from adaptmg._runtime import kernel, one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
-from adaptmg.discrete.loads import body_elements, load_density
-from adaptmg.discrete.springs import foundation
+from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, Posed, posed
 from adaptmg.estimate.tractions import contact_tractions
@@ -38,8 +37,6 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.loads import BodyForce, Load, Pressure, Spring, Traction
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
-
-__all__ = ["Residual", "boundary_squares", "condition_squares", "jump_squares", "volume_squares"]
 
 
 @dataclass(frozen=True)
@@ -76,9 +73,7 @@ class Residual:
 
 def _facet_weights(points: np.ndarray, facets: np.ndarray, axisymmetric: bool) -> tuple[np.ndarray, np.ndarray]:
     """Barycentric points (n_points, dim) and weights (n, n_points), m or m^2, exact for products of linear functions.
-
-    In axisymmetry these products times 2 pi r.
-    """
+    In axisymmetry these products times 2 pi r."""
     rule, weights = quadrature_rule(facets.shape[1], PLAIN_DEGREE)
     measure = np.linalg.norm(area_vectors(points, facets), axis=1)
     result = measure[:, None] * weights
@@ -130,12 +125,10 @@ _STILL = 1e-12
 
 
 def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
-    """Squares (n_elements,) from complementarity and from friction, N m.
-
-    At the nodes the conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere, friction at its
-    limit against the slip where there is one. What a solver leaves of them is algebraic error; multiplied by a gap, or
-    by a slip, far larger than the deformation it would exceed all that the mesh has left.
-    """
+    """Squares (n_elements,) from complementarity and from friction, N m. At the nodes the conditions are taken as met:
+    no pressure where a node is OPEN, no gap elsewhere, friction at its limit against the slip where there is one. What
+    a solver leaves of them is algebraic error; multiplied by a gap, or by a slip, far larger than the deformation it
+    would exceed all that the mesh has left."""
     mesh, contact, near = this.mesh, this.result.contact, this.neighbours
     complementarity, friction = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
     opens = contact.state == State.OPEN
@@ -178,7 +171,6 @@ def _friction(this: Posed, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
-    """The values with a zero at the end."""
     return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
 
 
@@ -257,12 +249,10 @@ def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -
 
 @kernel
 def _volume_axisymmetric(points, elements, u, body, lame, shear, initial, stress, force, rule, weights, squares):
-    """Write the integrals (n_elements,) of |f + div sigma|^2 over the full circumference.
-
-    The divergence is (d_r sigma_rr + (sigma_rr - sigma_tt) / r, d_z sigma_zz + sigma_rz / r), where sigma_rr and
-    sigma_zz vary by lame times the hoop strain u_r / r. ``initial`` (n_elements or 0, 3): initial strains; ``stress``
-    (n_elements, 3): its last column is rz; ``force`` (n_elements or 0, n_points, 2): f at the points of ``rule``.
-    """
+    """Write the integrals (n_elements,) of |f + div sigma|^2 over the full circumference. The divergence is (d_r
+    sigma_rr + (sigma_rr - sigma_tt) / r, d_z sigma_zz + sigma_rz / r), where sigma_rr and sigma_zz vary by lame times
+    the hoop strain u_r / r. ``initial`` (n_elements or 0, 3): initial strains; ``stress`` (n_elements, 3): its last
+    column is rz; ``force`` (n_elements or 0, n_points, 2): f at the points of ``rule``."""
     for e in range(len(elements)):
         a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
         x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]

@@ -15,7 +15,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.goal_view import GoalEstimate
+from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.soundness import check_mesh
@@ -25,9 +25,6 @@ from adaptmg.solver.result import Result
 
 if TYPE_CHECKING:
     import pandas
-
-__all__ = ["Engine", "Limits", "Step", "algebraic_tolerance", "expected_estimate", "expected_seconds", "settled",
-           "sound_mesh"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,11 +186,9 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
 
 
 class Engine(Protocol):
-    """What makes the next mesh: Remesh, Bisect or a user-defined object.
-
-    It may also have ``intermediate(problem, coarse, fine) -> MeshArrays or None``, a mesh between two whose sizes
-    differ too much for neighbouring levels, and ``first(problem, size) -> MeshArrays or None``, the mesh to begin with.
-    """
+    """What makes the next mesh: Remesh, Bisect or a user-defined object. It may also have ``intermediate(problem,
+    coarse, fine) -> MeshArrays or None``, a mesh between two whose sizes differ too much for neighbouring levels, and
+    ``first(problem, size) -> MeshArrays or None``, the mesh to begin with."""
 
     def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: np.ndarray,
                max_nodes: int | None = None) -> MeshArrays | None:

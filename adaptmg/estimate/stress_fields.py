@@ -25,8 +25,6 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.examine import energy_norm, euclidean_norm
 from adaptmg.solver.result import Result
 
-__all__ = ["ElementStress", "Neighbours", "Posed", "element_stress", "neighbours", "posed"]
-
 _THIN = 1
 
 
@@ -144,11 +142,9 @@ class Neighbours:
 
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
-    """Neighbours in a mesh.
-
-    Facets are kept in buckets by their lowest node; two are the same if their lowest and highest nodes and the sums of
-    their nodes agree. A bucket holds about a dozen of them (3D: some dozens), so that no table has to be sorted.
-    """
+    """Neighbours in a mesh. Facets are kept in buckets by their lowest node; two are the same if their lowest and
+    highest nodes and the sums of their nodes agree. A bucket holds about a dozen of them (3D: some dozens), so that no
+    table has to be sorted."""
     n, k = mesh.elements.shape
     across = np.full((n, k), -1, dtype=np.int32)
     owner, corner = (np.full(len(mesh.facets), -1, dtype=np.int32) for _ in range(2))

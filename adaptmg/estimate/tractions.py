@@ -28,8 +28,6 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
 
-__all__ = ["BoundaryTractions", "SurfaceTraction", "boundary_tractions", "contact_tractions"]
-
 
 @dataclass(frozen=True, eq=False)
 class BoundaryTractions:

@@ -34,8 +34,6 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
 from adaptmg.solver.result import versions
 
-__all__ = ["LARGEST", "matrix", "petsc"]
-
 MATRIX, VECTOR, INDEX_SET = 1211216, 1211214, 1211218
 #: the largest integer of a PETSc with 32-bit indices
 LARGEST = 2**31 - 1
@@ -140,7 +138,6 @@ class Part:
 
 
 def _parts_of_level(number: int, level: Level) -> Iterator[Part]:
-    """All of one level."""
     prefix = f"level{number}_"
     if level.discrete is None:
         block = level.matrix.blocksize[0]
@@ -219,7 +216,6 @@ def _vector(name: str, values: np.ndarray) -> bytes:
 
 
 def _index_set(name: str, values: np.ndarray) -> bytes:
-    """The file of an array of integers."""
     flat = np.asarray(values).reshape(-1)
     _check(name, "as an index", int(flat.max(initial=len(flat))))
     return struct.pack(">2i", INDEX_SET, len(flat)) + flat.astype(">i4").tobytes()
@@ -270,7 +266,6 @@ In C
 
 
 def _readme(problem: Hierarchy, parts: Sequence[Part]) -> str:
-    """README.txt."""
     finest, several = problem.finest.discrete, len(problem) > 1
     prefix = f"level{len(problem) - 1}_"
     coupling = ("\nSeveral bodies: the unknowns w at contact nodes are relative to the other body; A, b and the\n"

@@ -34,8 +34,6 @@ from adaptmg._text import printable
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.solver.result import Result
 
-__all__ = ["vtk", "vtk_series"]
-
 _TYPES = {"float64": "Float64", "int64": "Int64", "int32": "Int32", "uint8": "UInt8", "int8": "Int8"}
 #: VTK's codes of triangles and tetrahedra by dimension
 _CELLS = {2: 5, 3: 10}
@@ -163,7 +161,6 @@ def _document(result: Result) -> bytes:
 
 
 def _field_data(result: Result) -> dict[str, np.ndarray]:
-    """The index of each body and contact boundary by name."""
     contact = result.contact
     masters = contact.masters or ("",) * len(contact.names)
     names = {f"body:{name}": k for k, name in enumerate(result.mesh.bodies)}

@@ -24,9 +24,6 @@ import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel
 
-__all__ = ["MOMENTS", "PIECES", "ROOM", "SNAP", "add_visible", "clip", "common_moments", "keep_left", "polygon_moments",
-           "separated"]
-
 PIECES = 32
 """Room for pieces on the stack. A half-space splits a tetrahedron along a path of at most 3 bisections, which leave one
 piece waiting each: 4 half-spaces need 13."""
@@ -128,9 +125,7 @@ def _side(polygon, i, ax, ay, bx, by):
 @inner_kernel
 def keep_left(polygon, n, ax, ay, bx, by, out):
     """Write the part of a polygon to the left of the line from a to b to ``out``; returns its number of corners.
-
-    Corners beyond the room of ``out`` are dropped: only rounding makes more, on an edge along the line.
-    """
+    Corners beyond the room of ``out`` are dropped: only rounding makes more, on an edge along the line."""
     kept, room = 0, len(out)
     if n == 0:
         return kept
@@ -238,11 +233,9 @@ def polygon_moments(polygon, n, moments):
 
 @kernel
 def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states, piece, moments):
-    """Moments of what is left of a polygon when triangles hide parts of it.
-
-    Its triangles are cut along the edges of one blocker after the other, depth first: what lies outside an edge goes
-    on to the next blocker, what lies inside all of them is hidden.
-    """
+    """Moments of what is left of a polygon when triangles hide parts of it. Its triangles are cut along the edges of
+    one blocker after the other, depth first: what lies outside an edge goes on to the next blocker, what lies inside
+    all of them is hidden."""
     for c in range(MOMENTS):
         moments[c] = 0.0
     depth = _push(polygon, n, 0, 0, stack, states, 0)

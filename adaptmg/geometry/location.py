@@ -14,7 +14,6 @@ import numpy as np
 from adaptmg._runtime import inner_kernel, kernel, read_only
 from adaptmg.geometry.search import STACK, BoxTree, leaf_range, morton_order, nearest_simplex, padded
 
-__all__ = ["INSIDE", "Location", "SimplexLocator", "affine_maps", "locate"]
 
 @dataclass(frozen=True, eq=False)
 class Location:
@@ -27,11 +26,8 @@ class Location:
 
 
 class SimplexLocator:
-    """Finds points in a mesh of simplices.
-
-    Every point is found. A point on a node or an edge belongs to one of the elements there: its interpolation weights
-    do not depend on which.
-    """
+    """Finds points in a mesh of simplices. Every point is found. A point on a node or an edge belongs to one of the
+    elements there: its interpolation weights do not depend on which."""
 
     def __init__(self, points: np.ndarray, elements: np.ndarray, chosen: np.ndarray | None = None) -> None:
         chosen = np.arange(len(elements)) if chosen is None else chosen
@@ -68,10 +64,8 @@ _ROUNDING = 4 * np.finfo(np.float64).eps
 
 @kernel
 def affine_maps(points, elements, maps):
-    """Origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim).
-
-    Not finite where an element has no volume.
-    """
+    """Origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim). Not finite where an
+    element has no volume."""
     dim = elements.shape[1] - 1
     # the gradients are cross products of the edges; in 2D the third edge is the unit vector along z
     edges = np.zeros((3, 3))

@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import roots_jacobi
 
-__all__ = ["AXISYMMETRIC_DEGREE", "PLAIN_DEGREE", "quadrature_points", "quadrature_rule", "simplex_rule"]
-
 PLAIN_DEGREE = 2
 """Linear data times a shape function."""
 AXISYMMETRIC_DEGREE = 5
@@ -19,7 +17,6 @@ AXISYMMETRIC_DEGREE = 5
 
 
 def _rotations(*first: float) -> np.ndarray:
-    """All cyclic rotations of one barycentric point."""
     return np.stack([np.roll(first, k) for k in range(len(first))])
 
 

@@ -18,9 +18,6 @@ import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel
 
-__all__ = ["STACK", "BoxTree", "bounding_box", "closest_on_simplex", "leaf_range", "meet_turned", "morton_order",
-           "nearest_simplex", "overlapping", "padded"]
-
 LEAF_SIZE = 4
 """Largest number of simplices in a leaf."""
 
@@ -209,10 +206,8 @@ def _simplex_meets_turned(points, corners, frame, origin, low, high):
 
 @kernel
 def meet_turned(frames, origins, low, high, boxes, points, simplices, start, fill, found):
-    """Simplices that meet turned boxes: extents ``low`` .. ``high`` (n, dim) along the rows of ``frames``.
-
-    Counts those of box s to ``start[s + 1]`` or, with ``fill``, writes their positions from ``found[start[s]]`` on.
-    """
+    """Simplices that meet turned boxes: extents ``low`` .. ``high`` (n, dim) along the rows of ``frames``. Counts those
+    of box s to ``start[s + 1]`` or, with ``fill``, writes their positions from ``found[start[s]]`` on."""
     n_leaves = (len(boxes) + 1) // 2
     stack = np.empty(STACK, dtype=np.int64)
     for s in range(len(frames)):
@@ -393,10 +388,8 @@ def _squared_distance(points, corners, weights, x):
 
 @inner_kernel
 def closest_on_simplex(points, corners, x, weights, trial):
-    """Weights (k,) of the point of the simplex ``corners`` (k,), k = 2, 3, 4, closest to ``x`` (3,).
-
-    ``trial`` (k,) is scratch. Returns the squared distance.
-    """
+    """Weights (k,) of the point of the simplex ``corners`` (k,), k = 2, 3, 4, closest to ``x`` (3,). ``trial`` (k,) is
+    scratch. Returns the squared distance."""
     k = len(corners)
     if k == 2:
         weights[1] = _on_segment(points, corners[0], corners[1], x)

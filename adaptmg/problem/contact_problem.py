@@ -14,8 +14,6 @@ from adaptmg.problem.materials import Axisymmetric, Elastic
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
 
-__all__ = ["CONTACT", "Contact", "ContactProblem", "check_law"]
-
 CONTACT = "contact"  # name of all contact boundaries together
 _MOST_STIFFER = 1e15  # between the Young's moduli of two bodies
 _LOADS = (Pressure, Traction, BodyForce, InitialStrain)
@@ -136,7 +134,6 @@ class ContactProblem:
                              f"{', '.join(map(repr, self.contact_boundaries))}: rename it")
 
     def _uses(self) -> dict[str, str]:
-        """What each boundary that the problem names is used for."""
         used = dict.fromkeys(self.pair_boundaries, "contact")
         used |= {load.boundary: "a load" for load in self.loads if isinstance(load, Pressure | Traction)}
         return used | {support.boundary: "a support" for support in self.supports if support.boundary is not None}
@@ -211,7 +208,6 @@ class ContactProblem:
 
 
 def _materials(material: object) -> dict[str, Elastic]:
-    """Materials by body, checked to belong to one problem."""
     if not isinstance(material, Mapping) or not material or not all(isinstance(m, Elastic) for m in material.values()):
         raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or map each body's name to "
                         f"one of them, got {checks.described(material)}")

@@ -21,8 +21,6 @@ from numpy.typing import ArrayLike
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 
-__all__ = ["Coulomb", "Frictionless", "Law", "Tresca"]
-
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
 _AnyLaw = TypeVar("_AnyLaw")
 
@@ -63,7 +61,6 @@ def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> n
 
 
 def _with(law: _AnyLaw, name: str, values: np.ndarray) -> _AnyLaw:
-    """The law with other values, of the same class: a subclass may define its bounds."""
     result = copy.copy(law)
     object.__setattr__(result, name, values)
     return result

@@ -16,8 +16,6 @@ from adaptmg._text import brief
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSupport, Pressure, Support
 
-__all__ = ["BODY_FORCE", "DEFAULT", "LoadPath", "Scaled", "name_in_path", "names_in_path", "step_problem"]
-
 BODY_FORCE = "body force"  # name of body forces that act on all bodies
 DEFAULT = "default"  # name of all loads together, where no ContactProblem names them
 
@@ -31,6 +29,8 @@ _ROUNDING = 1e-14
 class LoadPath:
     """Factors of loads and prescribed displacements in each load step.
 
+    TypeError, ValueError on factors that are not finite numbers, or sequences of different lengths.
+
     Parameters
     ----------
     factors : mapping of str to float or sequence of float
@@ -40,11 +40,6 @@ class LoadPath:
         Factors below 1e-14 of the largest of their sequence, what rounding leaves of zero, become zero.
     default : float or sequence of float
         Factor of what is not named.
-
-    Raises
-    ------
-    TypeError, ValueError
-        On factors that are not finite numbers, or sequences of different lengths.
 
     Examples
     --------
@@ -85,15 +80,12 @@ class LoadPath:
     def resolved(self, problem: ContactProblem | None) -> dict[str, np.ndarray]:
         """Factors (n_steps,) of everything a problem has to scale.
 
+        ValueError if the path names something that the problem does not load or move.
+
         Parameters
         ----------
         problem : ContactProblem or None
             None stands for a bare DiscreteProblem, whose loads have no names: then only ``default`` counts.
-
-        Raises
-        ------
-        ValueError
-            If the path names something that the problem does not load or move.
         """
         if problem is None and self.factors:
             raise ValueError(f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem have "
@@ -125,7 +117,6 @@ def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
 
 
 def _factors(name: str, value: Factors) -> np.ndarray:
-    """A finite array of no or one dimension."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0:
         return np.array(checks.quantity(name, value))
     result = np.array(check_arrays.vector(name, value))
@@ -156,22 +147,16 @@ class Scaled:
 def step_problem(problem: ContactProblem, factors: Mapping[str, float]) -> ContactProblem:
     """Return the problem with its loads and prescribed displacements multiplied by the factors of one load step.
 
+    Loads with factor 0 stay, as zeros. The slip of earlier steps is not part of it.
+
+    ValueError for a name under which nothing is loaded or moved, or a factor that is not finite.
+
     Parameters
     ----------
     problem : ContactProblem
     factors : mapping of str to float
         By the names of a :class:`LoadPath`; what is not named keeps its size. Those of step k of a PathResult are
         ``{name: values[k] for name, values in path.factors.items()}``.
-
-    Returns
-    -------
-    ContactProblem
-        Loads with factor 0 stay, as zeros. The slip of earlier steps is not part of it.
-
-    Raises
-    ------
-    ValueError
-        For a name under which nothing is loaded or moved, or a factor that is not finite.
     """
     factors = {name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()}
     _check_names("factors name", factors, names_in_path(problem))

@@ -14,9 +14,6 @@ import numpy as np
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 
-__all__ = ["AnySupport", "BodyForce", "InitialStrain", "Load", "PointSpring", "PointSupport", "Pressure", "Spring",
-           "Support", "Symmetry", "Traction"]
-
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
 
 

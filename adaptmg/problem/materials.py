@@ -13,8 +13,6 @@ from typing import ClassVar
 
 from adaptmg import _checks as checks
 
-__all__ = ["Axisymmetric", "Elastic", "PlaneStrain", "PlaneStress", "Solid"]
-
 _FROM_LIMIT = 1e-9  # closer to its limits, one modulus is of the size of rounding of the other
 
 

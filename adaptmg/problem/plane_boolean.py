@@ -15,8 +15,6 @@ import numpy as np
 
 from adaptmg.problem.plane_domains import Arc, Outline, Segment
 
-__all__ = ["combined"]
-
 _ROUND = 1e-12  # of the extent: points nearer to each other are one
 _PARALLEL = 1e-12
 
@@ -80,7 +78,6 @@ def _meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray
 
 
 def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
-    """Points where two circles meet."""
     centre, apart = np.array(e.center), np.array(f.center) - np.array(e.center)
     distance = float(np.linalg.norm(apart))
     if distance <= tol:
@@ -91,7 +88,6 @@ def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
 
 
 def _both_sides(foot: np.ndarray, along: np.ndarray, radius: float, distance: float, tol: float) -> list[np.ndarray]:
-    """Where a line meets a circle, ``foot`` the point of it nearest to the centre."""
     if distance > radius - tol:
         return [foot] if distance <= radius + tol else []
     half = math.sqrt((radius - distance) * (radius + distance))
@@ -126,7 +122,6 @@ def _pieces(outline: Outline, edges: list[Segment | Arc], cuts: list[list[np.nda
 
 
 def _winding(outline: Outline, x: np.ndarray) -> int:
-    """How often the outline goes round a point off it: 1 inside, 0 outside and in holes."""
     a = np.array(outline.vertices) - x
     b = a[outline.following]
     turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
@@ -166,6 +161,5 @@ def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outli
 
 
 def _loop_area(loop: list[_Piece], points: list[np.ndarray]) -> float:
-    """The signed area of the polygon of ends and middles: its sign is that of the loop."""
     x, y = np.array([p for piece in loop for p in (points[piece.start], piece.middle)]).T
     return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))

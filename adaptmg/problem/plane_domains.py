@@ -18,9 +18,6 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 
-__all__ = ["Arc", "Box", "Circle", "Domain", "Outline", "Polygon", "Rectangle", "Segment", "corner",
-           "distance_to_segments"]
-
 _ROUND = 1e-9  # radii at the two ends of an arc may differ by this much of the radius
 _CHORD = math.radians(3.0)
 
@@ -392,7 +389,6 @@ class Outline(Domain):
                        boundaries=tuple(self.boundaries[i] for i in edges[outer]))
 
     def _extremes(self) -> np.ndarray:
-        """Vertices and the points of the arcs with horizontal or vertical tangents."""
         points = [np.array(self.vertices)]
         for i in self.arcs:
             arc = self.arc(i)

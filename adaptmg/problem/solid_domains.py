@@ -22,9 +22,6 @@ from adaptmg._text import brief
 from adaptmg.problem.plane_boolean import combined
 from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle, corner
 
-__all__ = ["Assembly", "Ball", "Combination", "Common", "Cut", "Cylinder", "Extrusion", "Fuse", "Moved", "Profile",
-           "Revolution", "SolidDomain", "StepFile", "outline_of"]
-
 Triple = tuple[float, float, float]
 Profile = Polygon | Outline | Rectangle
 _ON_AXIS = 1e-12  # relative to the profile: vertices nearer to the axis of revolution lie on it
@@ -261,7 +258,6 @@ class Moved(SolidDomain):
         return self.solid.boundaries
 
     def _extremes(self) -> np.ndarray:
-        """The corners of the bounding box, moved."""
         ends = np.stack([self.solid.lower, self.solid.upper])
         corners = np.stack([ends[[i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
         turn, axis = math.radians(self.angle), np.array(self.axis)

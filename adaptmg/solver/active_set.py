@@ -44,9 +44,6 @@ from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.transfer.galerkin import without_fixed
 
-__all__ = ["ActiveSet", "CondensedSteps", "SparseSteps", "coarsest_solution", "glued_system", "linearise",
-           "local_near_nullspace"]
-
 _LOG = logging.getLogger(__name__)
 
 
@@ -124,10 +121,8 @@ class ActiveSet:
 
 
 class _NewtonTest(IterateTest):
-    """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none.
-
-    As long as the contact status changes, nodes may follow one another: many such steps may be left.
-    """
+    """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none. As
+    long as the contact status changes, nodes may follow one another: many such steps may be left."""
 
     stalled, settled = False, False
     UNSETTLED = 10.0  # factor on the last step while the status changes
@@ -389,10 +384,8 @@ class LinearSteps(Protocol):
         """The residual (n_contact, dim) at contact nodes that decides their status, from that at all dofs."""
 
     def solve(self, equations: Linearised, spring: float) -> np.ndarray:
-        """The change (n_dofs,) for the last residual, with springs at contact relative to the diagonal.
-
-        LinAlgError if the equations are singular or, without springs, an iterative linear solver does not converge.
-        """
+        """The change (n_dofs,) for the last residual, with springs at contact relative to the diagonal. LinAlgError if
+        the equations are singular or, without springs, an iterative linear solver does not converge."""
 
 
 class CondensedSteps:
@@ -495,7 +488,6 @@ class SparseSteps:
         return solution.unknowns + change
 
     def _prepare(self, equations: Linearised, matrix: sparse.bsr_array, released: np.ndarray, spring: float) -> None:
-        """Set up the linear solver, unless the matrix is the one of the last step."""
         key = (equations.key, spring)
         if equations.same_matrix and key == self._prepared_for:
             return

@@ -22,8 +22,6 @@ from adaptmg.problem import Contact, ContactProblem, Plane, PlaneStress
 from adaptmg.smoother.system import OPEN
 from adaptmg.solver.result import Result
 
-__all__ = ["advise", "advise_on_path", "advise_on_problem", "advise_on_result", "once"]
-
 #: Poisson's ratio from which linear elements lock
 LOCKING = 0.49
 #: strains that are no longer small, where a share of a body's volume exceeds them (next to singular points they have

@@ -14,8 +14,6 @@ from adaptmg.smoother.system import OPEN, SLIP, STICK
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["ContactResult"]
-
 _STATES = {"open": OPEN, "slip": SLIP, "stick": STICK}
 
 

@@ -27,8 +27,6 @@ from adaptmg.solver.aggregates import Aggregates
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
 
-__all__ = ["ROUNDING", "Examined", "Examiner", "Sizes", "displacement_norm", "energy_norm", "euclidean_norm"]
-
 
 @dataclass(frozen=True, eq=False)
 class Examined:
@@ -62,11 +60,9 @@ class Examiner:
         return result
 
     def relative_residual(self, solved: np.ndarray) -> float:
-        """Natural residual of a displacement (n_dofs,), relative coordinates, over the forces that act.
-
-        The largest of load, contact forces and, where displacements are prescribed, reactions, in Euclidean norms; 1 if
-        it is all there is.
-        """
+        """Natural residual of a displacement (n_dofs,), relative coordinates, over the forces that act. The largest of
+        load, contact forces and, where displacements are prescribed, reactions, in Euclidean norms; 1 if it is all
+        there is."""
         solved = np.asarray(solved, dtype=np.float64).reshape(-1)
         return self._residual(solved, self.discrete.load - self.discrete.matrix @ solved)
 
@@ -116,11 +112,9 @@ class Examiner:
 
 def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.ndarray, held: np.ndarray,
                    solved: np.ndarray, values: np.ndarray, force: np.ndarray) -> ContactResult:
-    """Contact quantities at a solution.
-
-    Where a support holds a tangential component, the equations do not tell friction from the reaction of the support:
-    there it is what the law says for the slip, and nothing if nothing slips.
-    """
+    """Contact quantities at a solution. Where a support holds a tangential component, the equations do not tell
+    friction from the reaction of the support: there it is what the law says for the slip, and nothing if nothing
+    slips."""
     contact, small = discrete.contact, 1e-12 * max(solved.max(initial=0.0), -solved.min(initial=0.0))
     u = to_frames(frames, discrete.at_contact(solved))
     slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
@@ -163,9 +157,8 @@ def _friction_at_supports(held: np.ndarray, slip: np.ndarray, limit: np.ndarray,
 def _on_followed(discrete: DiscreteProblem, boundary: np.ndarray, rows: sparse.csr_array | None, forces: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What contact forces (n_contact, dim) exert on the nodes that slave nodes follow, -W' times them, by boundary.
-
-    ``rows`` (n_contact, n_nodes) are the weights W. Where both bodies are held, held nodes of the other one take all.
-    """
+    ``rows`` (n_contact, n_nodes) are the weights W. Where both bodies are held, held nodes of the other one take
+    all."""
     dim, n = discrete.dim, discrete.n_nodes
     if rows is None:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, dim))
@@ -227,11 +220,9 @@ class Sizes:
         self._lift = lift if frames is None else rotate(lift, frames, problem.contact.nodes)
 
     def nothing_strains(self, forces: float, rounding: float, unknowns: np.ndarray) -> bool:
-        """Whether all forces are rounding: bodies that their supports move, and nothing strains or holds.
-
-        Nothing is relative to such forces. Unknowns that have run away have such forces too, but move further than the
-        supports do.
-        """
+        """Whether all forces are rounding: bodies that their supports move, and nothing strains or holds. Nothing is
+        relative to such forces. Unknowns that have run away have such forces too, but move further than the supports
+        do."""
         if not self.prescribed or forces > self.IDLE * rounding:
             return False
         return bool(np.abs(unknowns).max(initial=0.0) <= 10 * np.abs(self._problem.fixed_values).max())

@@ -27,7 +27,6 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from adaptmg.smoother.system import LocalProblem, LocalSystem, turn_held
 
-__all__ = ["Condensed", "OrderedFactors", "condense", "dofs_of", "nested_dissection", "node_graph"]
 
 def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
     """The dofs of nodes in turn, ``size`` each."""
@@ -207,10 +206,8 @@ class Condensed:
 
 
 def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
-    """Condense a problem onto its contact nodes.
-
-    ``lenient``: where the problem is singular with all contact dofs fixed, dofs that depend on others stay at zero.
-    """
+    """Condense a problem onto its contact nodes. ``lenient``: where the problem is singular with all contact dofs
+    fixed, dofs that depend on others stay at zero."""
     system = local.system
     dim = system.dim
     contact = dofs_of(system.nodes, dim)

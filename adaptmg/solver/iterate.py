@@ -21,8 +21,6 @@ from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
 from adaptmg.solver.record import Run, Status
 
-__all__ = ["ChangeTest", "IterateTest", "Iteration", "StopTest", "iterate", "true_error"]
-
 
 class Iteration(Protocol):
     """What a method offers to the loop; it holds its unknowns."""
@@ -92,10 +90,8 @@ class StopTest:
         return self.sizes.nothing_strains(forces, ROUNDING * floor, unknowns)
 
     def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
-        """Take the norms of the natural residual and of the acting forces, N, and estimate the error.
-
-        A residual at the rounding of ``floor`` (:meth:`at_rounding`) is the least; ``idle``: so are the forces.
-        """
+        """Take the norms of the natural residual and of the acting forces, N, and estimate the error. A residual at the
+        rounding of ``floor`` (:meth:`at_rounding`) is the least; ``idle``: so are the forces."""
         if idle and residual <= ROUNDING * floor:
             residual = 0.0
         self.residual = 0.0 if residual == 0 else residual / (forces or residual)  # an interference fit: no forces yet
@@ -105,10 +101,8 @@ class StopTest:
         self.met = self._rounding or self._small_enough()
 
     def at_rounding(self, floor: float) -> bool:
-        """Whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N.
-
-        A large residual at the level of rounding is that of unknowns that have run away.
-        """
+        """Whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N. A large
+        residual at the level of rounding is that of unknowns that have run away."""
         return self._last <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
 
     @property
@@ -240,10 +234,8 @@ class IterateTest(StopTest):
 
 
 class ChangeTest(IterateTest):
-    """The paper's test: the Euclidean change in a cycle or sweep alone, relative to the iterate.
-
-    The residual at the end confirms convergence or not (:meth:`confirmed`).
-    """
+    """The paper's test: the Euclidean change in a cycle or sweep alone, relative to the iterate. The residual at the
+    end confirms convergence or not (:meth:`confirmed`)."""
 
     relative_change, finite = np.inf, True
 

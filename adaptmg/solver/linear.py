@@ -26,8 +26,6 @@ from adaptmg.solver.factorisation import OrderedFactors, dofs_of, nested_dissect
 if TYPE_CHECKING:
     import pyamg
 
-__all__ = ["AMG", "Direct", "LinearSolution", "LinearSolver", "Prepared"]
-
 
 @dataclass(frozen=True, eq=False)
 class LinearSolution:

@@ -44,8 +44,6 @@ from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["PathLoop", "PathResult", "StepNotConverged", "solve_path", "step_solver"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathResult(Sequence[Result]):
@@ -178,7 +176,6 @@ def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[st
 
 
 def _stored(k: int, result: Result) -> StepContent:
-    """A step for the store: the first has the mesh of all."""
     return StepContent(result if k == 0 else replace(result, mesh=None))
 
 
@@ -237,10 +234,6 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         Called with the number and the Result of each step when it is finished, and kept.
     progress : callable or bool, optional
         Called with the number of the step and each row of its history. True: write a line a step to standard error.
-
-    Returns
-    -------
-    PathResult
 
     Raises
     ------
@@ -443,7 +436,6 @@ class PathLoop:
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
-    """The problem, if its loads have names on every level."""
     known = all(level.mesh is not None for level in grids.levels if level.discrete is not None)
     return grids.problem if known else None
 

@@ -28,7 +28,6 @@ from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.record import Outcome, Run
 from adaptmg.solver.truncated import TruncatedMultigrid, TruncatedRun
 
-__all__ = ["KeptMultigrid", "Past", "StepSolver", "TruncatedSteps", "better_start", "coarse_displacements", "past_of"]
 
 @dataclass(frozen=True, eq=False)
 class Past:

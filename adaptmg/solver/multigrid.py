@@ -21,8 +21,6 @@ from adaptmg.solver.projected import ProjectedMultigrid, ProjectedRun
 from adaptmg.solver.record import Outcome, Run
 from adaptmg.solver.truncated import Truncated, TruncatedMultigrid, TruncatedRun
 
-__all__ = ["CustomCycles", "FullMultigrid", "Method", "Multigrid", "WarmMultigrid"]
-
 
 class Method(Protocol):
     """One run of a multigrid method."""
@@ -189,12 +187,10 @@ class FullMultigrid(Multigrid):
 
 @dataclass(frozen=True, kw_only=True)
 class WarmMultigrid:
-    """The truncated multigrid from a start whose contact status is believed; it may stop after one cycle.
-
-    A solution carried to a finer mesh has an algebraic error of some tenths of the discretisation error, and most
-    contact nodes are in their state: no safe cycles are taken. The rate of the first cycle, measured on the mesh
-    before, estimates the error that this cycle leaves; the certificate decides.
-    """
+    """The truncated multigrid from a start whose contact status is believed; it may stop after one cycle. A solution
+    carried to a finer mesh has an algebraic error of some tenths of the discretisation error, and most contact nodes
+    are in their state: no safe cycles are taken. The rate of the first cycle, measured on the mesh before, estimates
+    the error that this cycle leaves; the certificate decides."""
 
     rtol: float = 1e-8
     max_cycles: int = 100

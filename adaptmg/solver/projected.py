@@ -26,9 +26,6 @@ from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
 from adaptmg.solver.record import Outcome, Run, Status
 
-__all__ = ["ProjectedMultigrid", "ProjectedRun", "need_levels"]
-
-
 
 @dataclass(frozen=True, kw_only=True)
 class ProjectedMultigrid:

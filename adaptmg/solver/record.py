@@ -15,8 +15,6 @@ from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.examine import Examined
 
-__all__ = ["Outcome", "Run", "Solver", "Status"]
-
 
 class Status(Enum):
     """How a solver ended; the value is advice.
@@ -109,11 +107,9 @@ class Run:
             self._nested_seconds = outside + seconds
 
     def shortfall(self, solved: np.ndarray, rtol: float) -> float:
-        """By how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not.
-
-        Between bodies in relative coordinates. Rounding is not a shortfall. The energy error assumes the contact
-        status: no factor is granted where that is far from the solution's, which a large residual shows.
-        """
+        """By how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not. Between
+        bodies in relative coordinates. Rounding is not a shortfall. The energy error assumes the contact status: no
+        factor is granted where that is far from the solution's, which a large residual shows."""
         if self.examiner is None or not rtol > 0:
             return 0.0
         with self.phase("certificate"):

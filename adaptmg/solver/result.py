@@ -16,8 +16,8 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
+from adaptmg.discrete.loads import moment
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.springs import moment
 from adaptmg.discrete.stress import StressData, as_tensors, von_mises
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from adaptmg.geometry.location import Location
 
-__all__ = ["ContactResult", "NotConverged", "Result", "label", "problem_name", "versions"]
 
 @dataclass(frozen=True, eq=False)
 class Result:
@@ -175,16 +174,8 @@ class Result:
     def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
         """By how much each condition of the contact problem is violated, by code that shares nothing with the solvers.
 
-        Parameters
-        ----------
-        problem : DiscreteProblem, optional
-            Check against it again. Default: what was found when the problem was solved.
-        bound : bool
-            The energy error by a sparse factorisation; needs ``problem``.
-
-        Returns
-        -------
-        Certificate
+        Without ``problem``: what was found when the problem was solved; with it that is checked again, and ``bound``
+        bounds the energy error by a sparse factorisation.
         """
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
@@ -195,23 +186,7 @@ class Result:
         return self.checked
 
     def probe(self, points: ArrayLike) -> np.ndarray:
-        """Displacement at points.
-
-        Parameters
-        ----------
-        points : (n, dim) array-like
-            m.
-
-        Returns
-        -------
-        (n, dim) array
-            m.
-
-        Raises
-        ------
-        ValueError
-            Without a mesh, or where a point lies outside it.
-        """
+        """Displacement (n, dim), m, at points (n, dim), m; ValueError without a mesh, or for a point outside it."""
         found = self._located(points)
         return np.einsum("nk,nkd->nd", found.weights, self.displacement[self.mesh.elements[found.element]])
 
@@ -248,12 +223,7 @@ class Result:
         Returns
         -------
         (n, 6) array
-            Pa.
-
-        Raises
-        ------
-        ValueError
-            Without mesh or materials, at a point outside the mesh, or for nodes without ``recovered``.
+            Pa; ValueError without mesh or materials, at a point outside the mesh, or for nodes without ``recovered``.
         """
         return self._values(self._data().tensors(self.mesh, self.displacement), at, recovered)
 
@@ -394,22 +364,13 @@ class Result:
         return nodal[:self.mesh.n_nodes] if at == "nodes" else nodal[cells].mean(axis=1)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
-        """Force and moment exerted on the body through a boundary.
+        """Force, N, and moment about a point (dim,), m (default: the origin), N m, on the body through a boundary.
 
-        Parameters
-        ----------
-        boundary : str
-            'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its contact
-            forces), or any other boundary (reactions of its supports and springs), or "point (0, 1)" of a PointSpring.
-        about : (dim,) array-like, optional
-            Point of the moment, m; default the origin.
-
-        Returns
-        -------
-        Resultant
-            N and N m (2D: per metre). Forces on slave and master of a pair balance to rounding; their moments do on
-            surfaces that lie on each other, and else up to the lever between the two discrete surfaces: 1e-8 to 1e-4 of
-            force times size on curved ones. The mortar transmits each force across the gap without regard to its arm.
+        ``boundary`` is 'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its
+        contact forces), or any other boundary (reactions of its supports and springs), or "point (0, 1)" of a
+        PointSpring. In 2D all is per metre. Forces on slave and master of a pair balance to rounding; their moments up
+        to the lever between the two discrete surfaces: 1e-8 to 1e-4 of force times size on curved ones, across whose
+        gap the mortar transmits each force without regard to its arm.
         """
         at_point = boundary in self.springs and boundary not in self.mesh.boundaries
         nodes, forces = (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)

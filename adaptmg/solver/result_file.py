@@ -30,8 +30,6 @@ from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.record import Status
 
-__all__ = ["damage", "read_arrays", "read_result", "write_result"]
-
 Arrays = dict[str, np.ndarray]
 
 _FORMAT = 1
@@ -41,7 +39,6 @@ _TEXT: dict[str, object] = {
     "rtol": float, "error_estimate": float, "rate": float, "start_work_units": float, "timings": {str: float},
     "path": [(int, str, int)], "levels": [{str: float}], "versions": {str: str}, "supports": {str: str},
     "choice": str, "springs": {str: [float]}}
-_LATER = {"supports": {}, "choice": "", "springs": {}}  # missing in files of earlier versions
 _LABELS = {"names": "contact", "masters": "contact", "boundaries": "mesh", "bodies": "mesh"}
 #: shapes of the arrays, a letter for each length: p nodes, d components, t tangents, n contact nodes, m nodes that
 #: follow, e elements of c corners, f facets, b bodies, s initial strains
@@ -100,7 +97,6 @@ def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[s
 
 
 def _plain(name: str, value: object) -> object:
-    """A value as JSON has it; numpy numbers, which a user-defined solver may leave, become Python's."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -168,11 +164,7 @@ def _fields(text: dict[str, Any], arrays: Arrays) -> dict[str, Any]:
     """The fields of a Result, all of them checked."""
     status = Status[checks.choice("status", text["status"], Status.__members__)]
     fields: dict[str, Any] = {"status": status, "checked": None}
-    if "fallback" not in text:  # the first files say it in the name of the solver
-        solver, _, fallback = text["solver_name"].partition(", then ")
-        text |= {"solver_name": solver, "fallback": fallback}
-    for name, kind in _TEXT.items():
-        fields[name] = _checked(name, text.get(name, _LATER[name]) if name in _LATER else text[name], kind)
+    fields |= {name: _checked(name, text[name], kind) for name, kind in _TEXT.items()}
     if text.get("checked") is not None:
         fields["checked"] = Certificate.from_dict(checks.instance("checked", text["checked"], dict))
     found = {name.partition(".")[0] for name in arrays} | {"contact"}
@@ -230,7 +222,6 @@ def _groups(arrays: Arrays, found: set[str], labels: Mapping[str, tuple[str, ...
 
 
 def _checked(name: str, value: object, kind: object) -> Any:
-    """A value of the JSON text of a kind, see ``_TEXT``."""
     if isinstance(kind, dict):
         items = checks.instance(name, value, dict).items()
         return {key: _checked(f"{name}.{key}", part, kind[str]) for key, part in items}

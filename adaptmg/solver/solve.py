@@ -19,8 +19,8 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import one_blas_thread, say
 from adaptmg.discrete.facets import held_components
+from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.springs import spring_resultants
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.advice import advise_on_problem, advise_on_result, once
@@ -30,8 +30,6 @@ from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result, label, problem_name, versions
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
-
-__all__ = ["checked_outcome", "displacement_argument", "grids_argument", "method_argument", "result_of", "solve"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -62,10 +60,6 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         Called with each row of the history (a dict), for progress bars.
     progress : bool
         Write a line a cycle to standard error.
-
-    Returns
-    -------
-    Result
 
     Raises
     ------
@@ -237,10 +231,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
-    """The status of a solver, unless the natural residual or the certificate contradicts it.
-
-    With the paper's test rtol is that of a change: the error is compared with the multiple that the residual has.
-    """
+    """The status of a solver, unless the natural residual or the certificate contradicts it. With the paper's test rtol
+    is that of a change: the error is compared with the multiple that the residual has."""
     if not np.isfinite(residual):
         return Status.DIVERGED
     most = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, StopTest.ROUNDING_LIMIT)

@@ -34,9 +34,6 @@ from adaptmg.solver.advice import advise
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.factorisation import condense
 
-__all__ = ["check_statics", "check_statics_of", "critical_friction", "warn_of_large_friction",
-           "warn_of_several_solutions"]
-
 _LOG = logging.getLogger(__name__)
 
 _UNBALANCED = 1e-6  # share of the load that counts as not held
@@ -63,11 +60,9 @@ def check_statics(problem: DiscreteProblem) -> None:
 
 
 def check_statics_of(grids: Hierarchy, *, coarse_first: bool = True) -> None:
-    """:func:`check_statics` on the finest level; where the coarsest one can be held the finest is not asked.
-
-    A coarse grid has the same rigid motions, loads and directions of contact and costs nothing; what it cannot hold the
-    finest one may (on a curved surface, say).
-    """
+    """:func:`check_statics` on the finest level; where the coarsest one can be held the finest is not asked. A coarse
+    grid has the same rigid motions, loads and directions of contact and costs nothing; what it cannot hold the finest
+    one may (on a curved surface, say)."""
     coarsest = grids[0].discrete
     if coarse_first and len(grids) > 1 and coarsest is not None and coarsest.near_nullspace is not None:
         try:

@@ -32,8 +32,6 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_file import damage, read_result, write_result
 
-__all__ = ["StepContent", "StepStore", "differences", "fingerprint"]
-
 _FORMAT = 3
 #: the head of a path of a million steps has some 20 MB
 _MOST_BYTES = 2**28
@@ -167,7 +165,6 @@ def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Ma
 
 
 def _sums(values: np.ndarray) -> list[float]:
-    """Length, norm, and product with a wave."""
     flat = np.asarray(values, dtype=np.float64).reshape(-1)
     # not through BLAS, whose sums depend on the number of threads
     return [float(flat.size), float(np.sqrt(np.einsum("i,i->", flat, flat))),
@@ -180,7 +177,6 @@ def differences(stored: Mapping[str, object], requested: Mapping[str, object]) -
 
 
 def _same(a: object, b: object) -> bool:
-    """Whether nested plain values agree, numbers to rounding."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_same(a[name], b[name]) for name in a)
     if isinstance(a, list) and isinstance(b, list):

@@ -59,8 +59,6 @@ from adaptmg.study.execute import (
     sent,
 )
 
-__all__ = ["OnCluster", "check_workers", "dask_setup", "local_cluster", "opened"]
-
 _log = logging.getLogger(__name__)
 
 #: starts of a run until it counts as failed, as workers died
@@ -164,17 +162,14 @@ def _unpacked(order: bytes) -> Order:
 
 
 def _on_worker(order: bytes, point: Point, tries: int, name: str, topic: str) -> Finished:
-    """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts.
-
-    A function that holds Python's lock would keep a report that is only on its way.
-    """
+    """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts. A function
+    that holds Python's lock would keep a report that is only on its way."""
     worker = get_worker()
     return perform(_unpacked(order), point, tries, lambda: topic and sync(
         worker.loop, worker.scheduler.log_event, topic=topic, msg={"run": name, "worker": worker.address}))
 
 
 def _kill_worker(dask_worker: Nanny) -> None:
-    """Kill the process of a nanny, which starts another."""
     with contextlib.suppress(psutil.Error):
         psutil.Process(dask_worker.pid).kill()
 
@@ -278,7 +273,6 @@ class _Runs:
             self._client.run(_kill_worker, nanny=True, workers=busy, on_error="ignore")
 
     def _send(self) -> None:
-        """Send as many runs as there are free workers."""
         now = time.monotonic()
         if now - self._looked > 1.0:
             self._slots, self._looked = max(len(self._client.nthreads()), 1), now
@@ -406,10 +400,8 @@ _CONFIG = {
 
 
 def dask_setup(worker: object) -> None:
-    """Let the system end this process with its parent (Linux), even in compiled code that holds Python's lock.
-
-    dask calls this in each process of a local cluster.
-    """
+    """Let the system end this process with its parent (Linux), even in compiled code that holds Python's lock. dask
+    calls this in each process of a local cluster."""
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
@@ -417,17 +409,9 @@ def dask_setup(worker: object) -> None:
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Client]:
-    """Start processes on this machine, and end them.
+    """Start ``workers`` processes on this machine, and end them.
 
-    Parameters
-    ----------
-    workers : int
-        How many.
-
-    Yields
-    ------
-    distributed.Client
-        For :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies can share it.
+    Yields the distributed.Client for :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies can share it.
     """
     count = checks.integer("workers", workers, minimum=1)
     if multiprocessing.current_process().daemon:
@@ -506,10 +490,8 @@ def _environment_kept() -> Iterator[None]:
 
 @contextmanager
 def _scripts_not_run_again() -> Iterator[None]:
-    """Spawned processes run the script of the user again, up to its ``if __name__ == "__main__"``; dask's need not.
-
-    Run functions are sent by value. Processes of others are not changed.
-    """
+    """Spawned processes run the script of the user again, up to its ``if __name__ == "__main__"``; dask's need not. Run
+    functions are sent by value. Processes of others are not changed."""
     prepare = multiprocessing.spawn.get_preparation_data
 
     def prepared(name: str) -> dict[str, object]:

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
     from adaptmg.study.store import Store
 
-__all__ = ["MOST", "Design", "Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Zip", "as_design",
-           "extended", "stored_design"]
-
 #: points of a design: some GB of rows
 MOST = 2_000_000
 
@@ -66,7 +63,6 @@ def as_design(name: str, given: Given) -> Design:
 
 
 def _check_length(length: int) -> int:
-    """Return ``length`` if that many points can be run."""
     if length > MOST:
         # numbers of many thousand digits are not printed
         count = length if length < 10**15 else f"more than 10^{int(math.log2(length) * math.log10(2))}"
@@ -221,7 +217,6 @@ class _Sample(Points):
 
 
 def _ends(name: str, given: object, logarithmic: bool) -> tuple[float, float]:
-    """Return the ends of a range; both are of type int for a range of whole numbers."""
     ends = checks.listed(f"ranges[{name!r}]", given, "two numbers, (low, high)")
     if len(ends) != 2:
         raise ValueError(f"ranges[{name!r}] must be two numbers, (low, high), got {checks.shown(given)}")
@@ -235,7 +230,6 @@ def _ends(name: str, given: object, logarithmic: bool) -> tuple[float, float]:
 
 
 def _scaled(u: np.ndarray, low: float, high: float, logarithmic: bool) -> list[Value]:
-    """Return values in a range from numbers in [0, 1)."""
     if isinstance(low, int):
         return [int(k) for k in np.minimum(low + np.floor(u * (high - low + 1)), high)]
     if logarithmic:

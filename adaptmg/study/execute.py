@@ -28,9 +28,6 @@ from adaptmg._text import printable
 from adaptmg.study.kept_files import Packed, pack
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, plain_results
 
-__all__ = ["Execute", "Finished", "Order", "Point", "RunFunction", "Task", "UnfitWorker", "commit", "compute",
-           "error_text", "identity", "in_turn", "perform", "readied", "sent"]
-
 Point = dict[str, Value]
 RunFunction = Callable[..., Mapping[str, object]]
 
@@ -73,9 +70,7 @@ def in_turn(task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, F
 
 def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
     """Compute one run; what the function raises, and results that cannot be stored, are part of the outcome.
-
-    KeyboardInterrupt passes if ``interruptible``: it is Ctrl-C of the user.
-    """
+    KeyboardInterrupt passes if ``interruptible``: it is Ctrl-C of the user."""
     started = now()
     _reset_peak()
     begin = time.perf_counter()
@@ -133,7 +128,6 @@ def _reset_peak() -> None:
 
 
 def _peak_memory() -> int:
-    """Return the peak, bytes; 0 where the system does not say."""
     try:
         status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
         return 1024 * int(status.partition("VmHWM:")[2].split(maxsplit=1)[0])
@@ -189,11 +183,9 @@ _functions: dict[tuple[bytes, str], RunFunction] = {}
 
 
 def readied(order: Order) -> RunFunction:
-    """Check this process against the one of the study, and unpack the run function.
-
-    Modules that are loaded here may have been edited since, and values that a script set in a module are not here: the
-    function would compute something else under the fingerprint of the study.
-    """
+    """Check this process against the one of the study, and unpack the run function. Modules that are loaded here may
+    have been edited since, and values that a script set in a module are not here: the function would compute something
+    else under the fingerprint of the study."""
     known = order.function, order.fingerprint.code
     if known in _functions:
         return _functions[known]

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     from adaptmg.solver.result import Result
 
-__all__ = ["Folder", "Packed", "pack"]
-
 #: characters of a text that goes into the row
 _LONG = 10_000
 _MESH = ("points", "elements", "facets", "facet_labels", "element_body")
@@ -165,5 +163,4 @@ class Folder:
 
 
 def _digest(content: bytes) -> str:
-    """Return the part of a file's name that stands for its content."""
     return hashlib.sha256(content).hexdigest()[:12]

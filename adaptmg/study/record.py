@@ -23,9 +23,6 @@ from adaptmg._fingerprint import Fingerprint
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["DETAILS", "RESERVED", "Record", "Scalar", "StudyStatus", "Value", "bounded", "canonical", "frame",
-           "parameter_value", "plain_results", "reasons", "restored"]
-
 Scalar = bool | int | float | str | None
 Value = Scalar | tuple["Value", ...]
 
@@ -60,7 +57,6 @@ class Record:
 
 
 def _scalar(value: object) -> object:
-    """Return numpy scalars, and arrays without an axis, as Python's numbers."""
     return value.item() if isinstance(value, np.generic | np.ndarray) and not value.ndim else value
 
 

@@ -25,8 +25,6 @@ from adaptmg._files import make_folder
 from adaptmg._text import printable
 from adaptmg.study.record import Record, Scalar, Value, canonical, restored
 
-__all__ = ["Store"]
-
 Cell = str | int | float
 _FORMAT = 2
 #: columns of ``runs`` after the study, in the order of the table; for each the attribute of a record and its type
@@ -58,15 +56,7 @@ _DAMAGE = (ValueError, TypeError, RecursionError)
 
 
 class Store:
-    """Runs by study and parameters, in a SQLite file or (path None) in memory.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged or is not a store.
-    OSError
-        If it cannot be read or written; the message names the file. Runs that were stored before stay.
-    """
+    """Runs by study and parameters, in a SQLite file or (path None) in memory; errors name the file."""
 
     def __init__(self, path: str | os.PathLike[str] | None) -> None:
         # SQLite keeps its journal next to the file itself, so links are followed
@@ -88,7 +78,6 @@ class Store:
         self._opened = self._identity()
 
     def _prepare(self) -> None:
-        """Check that the file is a store; make the tables of an empty one."""
         self._connection.execute("PRAGMA synchronous = FULL")
         if not self._is_store():
             # one transaction: a second process sees an empty file or a store
@@ -128,7 +117,6 @@ class Store:
                              "file") from error
 
     def _identity(self) -> tuple[int, int] | None:
-        """Device and number of the file under the path."""
         try:
             found = None if self.path is None else self.path.stat()
         except OSError:
@@ -226,10 +214,8 @@ class Store:
                             "FROM runs GROUP BY study ORDER BY study")
 
     def varying(self, study: str, first: Mapping[str, Value]) -> list[str]:
-        """Return the parameters of a run that another run of its study lacks, or has with another value.
-
-        The canonical texts are searched for the piece of a name and its value: no JSON is read.
-        """
+        """Return the parameters of a run that another run of its study lacks, or has with another value. The canonical
+        texts are searched for the piece of a name and its value: no JSON is read."""
         other = "SELECT 1 FROM runs WHERE study = ? AND instr(parameters, ? || ',') = 0 " \
                 "AND instr(parameters, ? || '}') = 0 LIMIT 1"
         pieces = {name: canonical({name: value})[1:-1] for name, value in first.items()}
@@ -276,5 +262,4 @@ def _read(row: Sequence[Cell]) -> Record:
 
 
 def _object(text: Cell) -> dict[str, Scalar | list]:
-    """Return the content of a text of JSON, which must be an object."""
     return checks.instance("its JSON", json.loads(cast(str, text)), dict, "an object")

@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 
     Kept = np.ndarray | MeshArrays | Result | str | Path
 
-__all__ = ["Study", "Watch", "in_order"]
-
 _log = logging.getLogger("adaptmg.study")
 Cost = Callable[[Point], float] | str
 Progress = bool | Callable[["Watch"], None] | None
@@ -62,6 +60,9 @@ class Study:
     Each run is stored when it ends. A study that is run again computes only points that are missing, that failed, and
     that are stale: code or values that the run function reads, the numerical sources of adaptmg, or a version of a
     package changed (see :meth:`status`). Data files and environment variables are not seen; ``depends`` can name them.
+
+    TypeError, ValueError for values that cannot be stored, for parameters that the function does not take or lacks,
+    and for a function that reads a value which cannot be compared.
 
     Parameters
     ----------
@@ -81,12 +82,6 @@ class Study:
     depends : mapping, optional
         Values by name for dependencies that cannot be seen: a :class:`pathlib.Path` for the content of a file, a
         value in place of a global or a variable of a closure of that name, a text for anything else.
-
-    Raises
-    ------
-    TypeError, ValueError
-        For values that cannot be stored, for parameters that the function does not take or lacks, and for a function
-        that reads a value which cannot be compared.
 
     Examples
     --------
@@ -130,17 +125,10 @@ class Study:
         return [{**self.fixed, **point} for point in self.design.points()]
 
     def add(self, design: Given) -> Study:
-        """Add points, which the store remembers: they are there when the study is opened without parameters.
+        """Add points of the same parameters, and return this study.
 
-        Parameters
-        ----------
-        design : mapping, list of points, or design
-            With the same parameters. Points that are there already are left out.
-
-        Returns
-        -------
-        Study
-            This one.
+        The store remembers them: they are there when the study is opened without parameters. Points that are there
+        already are left out.
         """
         more = as_design("design", design)
         self.design = extended(self.design, more)
@@ -152,6 +140,9 @@ class Study:
             throw: bool = False, limit_s: float | None = None, memory_limit: float | None = None,
             cost: Cost | None = None) -> pd.DataFrame:
         """Compute the runs that the store does not have, and return the table.
+
+        As of :meth:`table`. On Ctrl-C finished runs are stored, and no process is left. OSError or ValueError if the
+        store cannot be written, RuntimeError for a worker with other packages or without a module.
 
         Parameters
         ----------
@@ -176,20 +167,6 @@ class Study:
         cost : callable or str, optional
             Long runs first: a function of a point that grows with the time its run takes, the name of a parameter that
             does, or of a result or ``"seconds"`` of an earlier call.
-
-        Returns
-        -------
-        pandas.DataFrame
-            One row a run in the order of the design; see :meth:`table`.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            On Ctrl-C: finished runs are stored, and no process is left.
-        OSError, ValueError
-            If the store cannot be written.
-        RuntimeError
-            If a worker has another adaptmg, other packages, or lacks a module.
         """
         if not (progress is None or isinstance(progress, bool) or callable(progress)):
             raise TypeError(f"progress must be True, False, None or a function, got {checks.shown(progress)}")
@@ -215,19 +192,11 @@ class Study:
         return self._table(found, versions, False)
 
     def table(self, details: bool = False) -> pd.DataFrame:
-        """Return the runs in the store, without computing any.
+        """Return the runs in the store, without computing any: one row a run in the order of the design.
 
-        Parameters
-        ----------
-        details : bool
-            Also tries, peak_memory (bytes), started, finished (UTC), machine, commit, traceback.
-
-        Returns
-        -------
-        pandas.DataFrame
-            One row a run in the order of the design: parameters, results, ``status`` ('done', 'failed', 'stale',
-            'missing'), ``seconds`` and ``error``. Results that are kept as files show the name of the file.
-            ``attrs`` holds the name of the study and the fixed parameters.
+        Columns are parameters, results (the name of the file where one is kept as a file), ``status`` ('done',
+        'failed', 'stale', 'missing'), ``seconds`` and ``error``; with ``details`` also tries, peak_memory (bytes),
+        started, finished (UTC), machine, commit, traceback. ``attrs`` has the study's name and fixed parameters.
         """
         return self._table(self._fingerprint(), environment(), details)
 
@@ -248,19 +217,10 @@ class Study:
                            reasons=reasons(stale, found, versions, self._store.origins()))
 
     def load(self, row: int | Mapping[str, Value] | pd.Series, name: str | None = None) -> Kept | dict[str, Kept]:
-        """Return results of a run that are kept as files.
+        """Return the results of a run that are kept as files, by name, or the one called ``name``.
 
-        Parameters
-        ----------
-        row : int, mapping or pandas.Series
-            Number of the row in :meth:`table`, the row itself, or the parameters of the run.
-        name : str, optional
-            Of the result.
-
-        Returns
-        -------
-        dict, or the result of that name
-            Arrays, meshes, results of solvers and texts; of a figure the path of its SVG file.
+        ``row`` is the number of the row in :meth:`table`, the row itself, or the parameters of the run. Of a figure the
+        path of its SVG file is returned.
         """
         if isinstance(row, Mapping | pd.Series):
             point = {**self.fixed, **{key: parameter_value(key, row[key]) for key in self.design.names}}
@@ -306,7 +266,6 @@ class Study:
                       peak_memory=outcome.peak_memory, tries=outcome.tries, commit=commit(), files=files)
 
     def _fingerprint(self) -> Fingerprint:
-        """Return what a run depends on now; a value that runs changed counts as the one before them."""
         found = fingerprint(self._function, self._depends)
         return Fingerprint({name: _LEFT.get((name, value), value) for name, value in found.parts.items()})
 
@@ -333,7 +292,6 @@ class Study:
 
 def _executor(workers: int | None, scheduler: str | Client | Cluster | None, runs: int
               ) -> contextlib.AbstractContextManager[Execute]:
-    """Return an executor in this process, or on dask, which is loaded only here."""
     if workers is None and scheduler is None:
         return contextlib.nullcontext(in_turn)
     from adaptmg.study.cluster import opened
@@ -350,7 +308,6 @@ def _check_run_function(run: RunFunction) -> None:
 
 
 def _check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Value]) -> None:
-    """Refuse names that are used twice, or that the function does not take."""
     for name in (*fixed, *names):
         if not isinstance(name, str):
             raise TypeError(f"the names of parameters must be strings, got {checks.shown(name)}")
@@ -423,10 +380,8 @@ class Watch:
 @contextmanager
 def _watched(name: str, total: int, before: int, running: Callable[[], int],
             bar: bool | Callable[[Watch], None] | None) -> Iterator[Watch]:
-    """Yield a watch; with a bar on standard error if ``bar``, or if it is None and standard error is a terminal.
-
-    A function as ``bar`` is called after each run instead.
-    """
+    """Yield a watch; with a bar on standard error if ``bar``, or if it is None and standard error is a terminal. A
+    function as ``bar`` is called after each run instead."""
     # without a console (pythonw, a service) Python has no standard error
     if callable(bar) or sys.stderr is None or not (sys.stderr.isatty() if bar is None else bar):
         yield Watch(name, total, before, running, bar if callable(bar) else None)

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     Table = pd.DataFrame | Mapping[str, Sequence[object]]
 
-__all__ = ["as_html", "as_text", "cells", "numeric"]
-
 
 def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
             formats: Mapping[str, str] | None = None) -> str:

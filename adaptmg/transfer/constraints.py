@@ -32,9 +32,6 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 
-__all__ = ["Supports", "injected_gap", "injected_limit", "injected_slip", "largest_gap", "minmod_slip", "smallest_gap",
-           "summed_limit", "supports"]
-
 
 @dataclass(frozen=True, eq=False)
 class Supports:

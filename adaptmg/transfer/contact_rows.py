@@ -34,18 +34,13 @@ from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.transfer.interpolation import Transfer, csr_from_weights, nodes_of_bodies
 
-__all__ = ["LevelTransfer", "between_levels", "surface_interpolation", "with_contact_rows"]
-
 
 def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_facets: np.ndarray,
                           fine_nodes: np.ndarray) -> sparse.csr_array:
     """Interpolate at fine contact nodes (n,) from the nearest coarse contact facet.
 
-    Returns
-    -------
-    (n, n_coarse_nodes) csr_array
-        >= 0, row sums 1, at most dim entries a row. The facets (n_facets, dim) hold coarse nodes, as
-        ``coarse.boundary_facets(name)`` does; the nearest is exact, on graded boundaries too.
+    Entries are >= 0, with row sums 1, at most dim in a row. The facets (n_facets, dim) hold coarse nodes, as
+    ``coarse.boundary_facets(name)`` does; the nearest is exact, on graded boundaries too.
     """
     facets = coarse_boundary_facets
     if facets.ndim != 2 or not len(facets) or not 0 <= facets.min() <= facets.max() < coarse.n_nodes:
@@ -120,7 +115,6 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
 
 
 def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
-    """What the transfer returns, checked: kernels follow its indices."""
     returned, wanted = transfer.build(coarse, fine), (fine.n_nodes, coarse.n_nodes)
     if sparse.issparse(returned) and returned.shape != wanted:
         raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
@@ -151,7 +145,6 @@ def _check_bodies(nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays,
 
 def _along(coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarray
            ) -> tuple[np.ndarray, sparse.csr_array]:
-    """Nodes and their rows of interpolation along a boundary."""
     return nodes, surface_interpolation(coarse, fine, coarse.boundary_facets(boundary), nodes)
 
 

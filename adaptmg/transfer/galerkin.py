@@ -16,8 +16,6 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import kernel, one_blas_thread, read_only, seeded
 
-__all__ = ["aggregated_prolongations", "coarse_spaces", "galerkin_product", "is_galerkin", "seen", "without_fixed"]
-
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
 
 
@@ -110,11 +108,9 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
 
 
 def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_array:
-    """A prolongation without what it gives to nodes of which the next finer level takes nothing.
-
-    The diagonal that :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next one) is no
-    stiffness: in the next product it would hold the coarser functions at zero there.
-    """
+    """A prolongation without what it gives to nodes of which the next finer level takes nothing. The diagonal that
+    :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next one) is no stiffness: in the
+    next product it would hold the coarser functions at zero there."""
     if finer is None:
         return nodal
     idle = np.bincount(finer.indices, weights=np.abs(finer.data), minlength=finer.shape[1]) == 0
@@ -172,7 +168,6 @@ def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: spars
 
 
 def _prolongation(name: str, value: object) -> sparse.csr_array:
-    """One of a user's prolongations as csr, its indices and the size of its weights checked."""
     # a copy: duplicates are summed in place
     P = sparse.csr_array(check_arrays.sparse_matrix(name, value), dtype=np.float64, copy=True)
     P.sum_duplicates()

@@ -29,9 +29,6 @@ from adaptmg._runtime import kernel
 from adaptmg.geometry.location import Location, SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays, longest_edges
 
-__all__ = ["CLIP", "OUTSIDE_TOLERANCE", "Interpolation", "PointLocator", "Transfer", "body_locators", "clipped_rows",
-           "csr_from_weights", "dropped", "locate_nodes", "mesh_ratio", "nodes_of_bodies", "size_ratio"]
-
 
 @runtime_checkable
 class Transfer(Protocol):
@@ -60,10 +57,7 @@ class Interpolation:
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Nodal prolongation (n_fine, n_coarse), at most dim + 1 entries a row.
 
-        Raises
-        ------
-        ValueError
-            A fine node lies outside by more than a quarter of an element; bodies or dimensions do not match.
+        ValueError if a fine node lies outside by more than a quarter of an element, or bodies or dimensions differ.
         """
         found = locate_nodes(coarse, fine)
         return csr_from_weights(coarse.elements[found.element], found.weights, coarse.n_nodes)
@@ -221,7 +215,6 @@ def _add_corrections(indptr, indices, data, points, centres, multiplier, scale):
 
 def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, moments: np.ndarray
                   ) -> tuple[sparse.csr_array, np.ndarray]:
-    """Change the entries of every row as little as possible so that it has the given moments."""
     n, dim = fine.points.shape
     gram, residual, scale = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1)), np.empty(n)
     scale[fine.elements] = fine.element_sizes[:, None]      # that of one of its elements will do

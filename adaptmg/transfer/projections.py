@@ -38,9 +38,6 @@ from adaptmg.transfer.interpolation import (
     nodes_of_bodies,
 )
 
-__all__ = ["L2", "LumpedL2", "MixedMass", "Patches", "PseudoL2", "QuasiInterpolation", "clip_elements", "count_rows",
-           "fill_rows", "mixed_mass"]
-
 Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
 
 
@@ -328,7 +325,6 @@ def _body_entries(locator: PointLocator, fine: MeshArrays, elements: np.ndarray)
 
 
 def _quadrature(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Entries of elements that stick out of the coarse mesh, by quadrature."""
     shape, weights = simplex_rule(fine.dim, 4)
     points = np.einsum("qv,evc->eqc", shape, fine.points[fine.elements[elements]])
     found = locator.locate(points.reshape(-1, fine.dim))
@@ -341,12 +337,10 @@ def _quadrature(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -
 @kernel
 def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_points, coarse, maps, boxes, marker, covered,
                   element, columns, values):
-    """Integrals over the ``chosen`` fine elements from the one numbered ``done`` on, each scaled to volume 1.
-
-    Entries are written from position ``count`` on: fine element, coarse node and the integrals with the shape
-    functions of the corners. ``covered`` gets the share of each element that the coarse mesh covers; ``marker``
-    (n_coarse,) is -1 throughout on entry and exit.
-    """
+    """Integrals over the ``chosen`` fine elements from the one numbered ``done`` on, each scaled to volume 1. Entries
+    are written from position ``count`` on: fine element, coarse node and the integrals with the shape functions of the
+    corners. ``covered`` gets the share of each element that the coarse mesh covers; ``marker`` (n_coarse,) is -1
+    throughout on entry and exit."""
     k = elements.shape[1]
     mu, moments = np.empty((k, k)), np.empty((k, k))
     pieces, levels = np.empty((PIECES, 1 + 2 * k * k)), np.empty(PIECES, dtype=np.int64)
@@ -378,10 +372,8 @@ def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_point
 
 @kernel
 def _apart(points, corners, maps, e, mu):
-    """Whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``.
-
-    Writes the barycentric coordinate m of corner v at ``mu[v, m]``, snapped to zero.
-    """
+    """Whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``. Writes the barycentric
+    coordinate m of corner v at ``mu[v, m]``, snapped to zero."""
     # the same as ``barycentric``, but face by face: most pairs are parted by one of the first
     k = len(corners)
     dim = k - 1

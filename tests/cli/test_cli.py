@@ -143,7 +143,7 @@ def test_ctrl_c_ends_with_130_and_one_line():
 
 
 def test_what_cannot_be_printed_is_printed_as_codes(monkeypatch):
-    from adaptmg.cli import outcome
+    from adaptmg.cli import output as outcome
 
     monkeypatch.setattr(outcome, "write", lambda *arguments: [Path("\udcff\xb5\x1b/result.npz")])
     out = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 import adaptmg as am
-from adaptmg.cli import build, explain
+from adaptmg.cli import build, study_file
 from adaptmg.cli.build import PURPOSE, case_keys, grids, sections
 from adaptmg.cli.case_run import MEASURES, case_run
 from adaptmg.cli.study_file import checked, read
@@ -369,9 +369,9 @@ def test_repeats_and_load_paths_by_boundary(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", am.cases.names())
 def test_the_file_to_begin_with_can_be_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    said = read(written(explain.template(name)))
+    said = read(written(study_file.template(name)))
     assert said.name == name and said.fixed["case.case"] == name and len(checked(said, None)) >= 2
     # and with all that stands in comments, but for what excludes each other
-    text = re.sub(r"^# (?=\w+ = )(?!law|method)", "", explain.template(name), flags=re.MULTILINE)
-    assert len(tomllib.loads(text)["case"]) > len(tomllib.loads(explain.template(name))["case"])
+    text = re.sub(r"^# (?=\w+ = )(?!law|method)", "", study_file.template(name), flags=re.MULTILINE)
+    assert len(tomllib.loads(text)["case"]) > len(tomllib.loads(study_file.template(name))["case"])
     assert len(checked(read(written(text)), None)) >= 2

@@ -7,8 +7,7 @@ import pytest
 from bodies import EXACT, bar_on_block, in_the_corner
 
 import adaptmg as am
-from adaptmg.discrete.contact import contact_data
-from adaptmg.discrete.discretise import discretise
+from adaptmg.discrete.discretise import contact_data, discretise
 from adaptmg.mesh import graded, merged, structured
 
 BAR = am.PlaneStrain(young=1.3e11, poisson=0.2)

@@ -8,7 +8,7 @@ from simplex_meshes import disk
 
 import adaptmg as am
 from adaptmg.discrete import discretise
-from adaptmg.discrete.contact import contact_data
+from adaptmg.discrete.discretise import contact_data
 from adaptmg.mesh import MeshArrays, structured
 
 SQUARE, CUBE = am.Rectangle(width=2.0, height=1.0), am.Box(width=2.0, depth=1.0, height=1.0)

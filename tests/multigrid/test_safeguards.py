@@ -9,8 +9,7 @@ import adaptmg as am
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.solver import truncated as fallback
-from adaptmg.solver.truncated import Fallback
-from adaptmg.solver.truncated_iteration import TruncatedIteration
+from adaptmg.solver.truncated import Fallback, TruncatedIteration
 
 
 def floating():

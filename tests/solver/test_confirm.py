@@ -9,7 +9,7 @@ from study_scripts import load
 import adaptmg as am
 from adaptmg.solver.iterate import IterateTest, StopTest
 from adaptmg.solver.record import Run
-from adaptmg.solver.truncated_iteration import TruncatedIteration
+from adaptmg.solver.truncated import TruncatedIteration
 
 slender = load("slender_bodies")
 

@@ -11,7 +11,7 @@ from adaptmg.problem import step_problem
 from adaptmg.solver import load_steps as truncated_steps
 from adaptmg.solver.load_path import StepNotConverged
 from adaptmg.solver.load_steps import KeptMultigrid, coarse_displacements
-from adaptmg.solver.truncated_iteration import TruncatedIteration
+from adaptmg.solver.truncated import TruncatedIteration
 
 FINE = am.FullMultigrid(rtol=1e-11)
 EXACT = am.ActiveSet(rtol=1e-12)

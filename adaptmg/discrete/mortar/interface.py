@@ -18,8 +18,6 @@ from scipy import sparse
 
 from adaptmg.discrete.facets import area_vectors
 
-__all__ = ["NEVER_FACING", "MortarInterface", "Surfaces", "cross", "nothing_covered", "surface_normals"]
-
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
 

@@ -32,8 +32,6 @@ from adaptmg.discrete.mortar.triangles import mortar_3d
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.surfaces import ContactPair
 
-__all__ = ["node_to_node", "pair_interface"]
-
 _ROUNDING = 1e-12  # of the bodies' size
 _LEAST_COVERED = 0.25  # of the part of a slave node
 _OFFSET = 1e-2  # of the shortest edge at a slave node: how far off its normal its partner may lie
@@ -79,7 +77,6 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
 
 
 def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
-    """By the coupling that the pair asks for."""
     if pair.coupling == "nodes":
         return node_to_node(surfaces)
     return (mortar_2d if surfaces.points.shape[1] == 2 else mortar_3d)(surfaces, pair.reach)

@@ -39,8 +39,6 @@ from adaptmg._runtime import kernel
 from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, nothing_covered
 from adaptmg.geometry.search import BoxTree
 
-__all__ = ["SHORTEST", "distance_along_normal", "mortar_2d", "nearest_pieces"]
-
 _LEAST_COVERED = 1e-3  # of a facet: less is left out
 _NEGLIGIBLE = 1e-13  # of the largest weight in a row of B
 _GAUSS = np.polynomial.legendre.leggauss(4)
@@ -77,7 +75,6 @@ def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.nda
 
 
 def _candidates(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray]:
-    """Slave and master edges whose bounding boxes say that a ray from the one may meet the other."""
     n, x = surfaces.normals[surfaces.slave], surfaces.points[surfaces.slave]
     mean = n.mean(axis=1)
     shortest = np.linalg.norm(mean, axis=1)[:, None, None]  # of n(s), for unit normals at the ends
@@ -102,11 +99,9 @@ def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.nda
 
 
 def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.ndarray:
-    r"""Where on slave edges the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times n(s) = 0`.
-
-    Of the two roots of this quadratic equation the one where q falls: there the node is before the centre of
-    curvature. If there is none, 1 where q > 0 and 0 where q < 0: the node is next to all of the edge.
-    """
+    r"""Where on slave edges the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times n(s) = 0`. Of the two
+    roots of this quadratic equation the one where q falls: there the node is before the centre of curvature. If there
+    is none, 1 where q > 0 and 0 where q < 0: the node is next to all of the edge."""
     x, n = surfaces.points[slave], surfaces.normals[slave]
     e, turn, r = x[:, 1] - x[:, 0], n[:, 1] - n[:, 0], x[:, 0] - surfaces.points[node]
     a, b, c = cross(e, turn), cross(r, turn) + cross(e, n[:, 0]), cross(r, n[:, 0])
@@ -211,10 +206,8 @@ _BESIDE = 1e-9  # how far outside a master edge, as a fraction of it, a ray may 
 
 @kernel
 def distance_along_normal(points, normals, a, b, y1, y2, s):
-    """Distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1, y2).
-
-    Infinite if the ray misses the edge, the edge faces away, or rays cross before they reach it.
-    """
+    """Distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1, y2). Infinite if the ray misses
+    the edge, the edge faces away, or rays cross before they reach it."""
     ex, ey = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
     dx, dy = normals[b, 0] - normals[a, 0], normals[b, 1] - normals[a, 1]
     nx, ny = normals[a, 0] + s * dx, normals[a, 1] + s * dy

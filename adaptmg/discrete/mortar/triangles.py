@@ -42,8 +42,6 @@ from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, 
 from adaptmg.geometry.clipping import MOMENTS, ROOM, add_visible, clip, polygon_moments, separated
 from adaptmg.geometry.search import BoxTree
 
-__all__ = ["common_moments", "mortar_3d"]
-
 _LEAST_COVERED = 1e-6  # of a facet: less is left out
 _NEGLIGIBLE = 1e-13  # of the largest entry in a row of B, and of the area around a node
 _GRAZING = 1e-2  # a master facet faces a slave facet if it leans towards its normal by more than this angle (rad)
@@ -211,11 +209,8 @@ def _integrate(surfaces: Surfaces, parts: _Parts) -> MortarInterface:
 def _dual_moments(surfaces: Surfaces, parts: _Parts, shape: np.ndarray, towards: np.ndarray, off: np.ndarray
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r"""Integrals (n_parts, 3, 3) of dual times master shape functions and (n_parts, 3) of dual functions times gap.
-
-    Then the gap at the centroids (n_parts,).
-
-    From :math:`\phi_j(c)` (n_slave, 3), :math:`S^{-1}(x_j - c)` (n_slave, 2, 3) and :math:`\bar x - c` (n_parts, 2).
-    """
+    Then the gap at the centroids (n_parts,). From :math:`\phi_j(c)` (n_slave, 3), :math:`S^{-1}(x_j - c)` (n_slave, 2,
+    3) and :math:`\bar x - c` (n_parts, 2)."""
     slave, moments = parts.slave, parts.moments
     frames, own = parts.frames[slave], parts.corners[slave]
     origins = surfaces.points[surfaces.slave].mean(axis=1)[slave]
@@ -270,11 +265,9 @@ def _local_coordinate(point, frame, origin, a):
 
 @kernel
 def common_moments(slave, frames, origins, corners, start, found, below, above, moments):
-    """Moments of the visible common parts of slave facets and the master facets found for them.
-
-    A part is dropped if its gap, at its centroid, is outside [-below, above]. Where parts overlap, the one with the
-    gap of smaller magnitude, at the centroid of the overlap, hides the other.
-    """
+    """Moments of the visible common parts of slave facets and the master facets found for them. A part is dropped if
+    its gap, at its centroid, is outside [-below, above]. Where parts overlap, the one with the gap of smaller
+    magnitude, at the centroid of the overlap, hides the other."""
     room = 1
     for s in range(len(slave)):
         room = max(room, start[s + 1] - start[s])

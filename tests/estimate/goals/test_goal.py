@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.estimate.goal_view import Functional
+from adaptmg.estimate.goal import Functional
 
 REFERENCE = am.cases.greco_bar().reference
 POINTS = np.array(list(REFERENCE["points"].values()))

@@ -11,7 +11,7 @@ import adaptmg as am
 from adaptmg.estimate import goal
 from adaptmg.estimate.adjoint import AdjointSystem, adjoint_system, linearised_contact
 from adaptmg.estimate.edge_bubbles import edge_bubbles
-from adaptmg.estimate.goal_view import GoalView
+from adaptmg.estimate.goal import GoalView
 from adaptmg.estimate.stress_fields import posed
 
 EXACT = am.ActiveSet(rtol=1e-13)
