@@ -157,8 +157,10 @@ class TruncatedIteration(StopTest):
         rate = self.safe_rate
         if len(self.changes) <= self.EARLY:
             rate = max(rate, self.EARLY_RATE)
-        if not (self.size > 0 and rate < 1):
-            return np.inf
+        return self._remaining(rate) if self.size > 0 and rate < 1 else np.inf
+
+    def _remaining(self, rate: float) -> float:
+        """The error that remains, relative, if corrections fall by ``rate`` < 1."""
         return max(self.SAFETY, self.TAIL / (1 - rate)) * self.changes[-1] * rate / self.size
 
     def _ran_away(self) -> bool:
@@ -175,14 +177,17 @@ class TruncatedIteration(StopTest):
         return True
 
     def _too_slow(self, left: float) -> bool:
-        """Whether, as fast as the last cycles went, the tolerance is not reached in most of the cycles ``left``."""
-        if len(self.changes) <= 2 * self.WINDOW or not self.rtol > 0:
+        """Whether, as fast as the last cycles went, the tolerance is not reached in most of the cycles ``left``.
+
+        The last ratio alone says nothing: recombined corrections fall unevenly.
+        """
+        if len(self.changes) <= 2 * self.WINDOW or not (self.rtol > 0 and self.size > 0):
             return False
-        first, last = self.changes[-1 - self.WINDOW], self.changes[-1]
-        if not 0 < last < first:
+        rate = self._mean_ratio(self.WINDOW)
+        if not 0 < rate < 1:
             return True
-        gap = max(self.error_estimate / self.rtol, self.residual / (self.RESIDUAL_FACTOR * self.rtol), 1.0)
-        return np.log(gap) * self.WINDOW / np.log(first / last) > self.MOST * left
+        gap = max(self._remaining(rate) / self.rtol, self.residual / (self.RESIDUAL_FACTOR * self.rtol), 1.0)
+        return np.log(gap) > self.MOST * left * -np.log(rate)
 
 
 _LOG = logging.getLogger(__name__)
