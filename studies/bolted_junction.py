@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 import pandas as pd
-from common import Output, main, quickest, warm_up, work_to
+from common import Output, compare, main, measured, warm_up
 from matplotlib import pyplot as plt
 
 import adaptmg as am
@@ -46,23 +46,15 @@ def run(method: str, levels: int, finest: int) -> dict:
     """One method; the quickest of three runs."""
     warm_up()
     am.solve(chain(1, 2), METHODS[method], throw=False)     # kernels of several bodies
-    result = quickest(chain(finest, levels), METHODS[method], reference=exact(finest))
-    return {"nodes": chain(finest, levels).finest.n_nodes, "cycles": result.cycles, "work": work_to(result, TARGET),
-            "solve_seconds": result.seconds, "final_error": result.history["true_error"][-1],
-            "outcome": result.status.name}
+    return measured(chain(finest, levels), METHODS[method], exact(finest), TARGET)
 
 
 def study(out: Output) -> None:
     """Compute the methods on one to four grids, then the junction under rising pressure."""
     finest = 2 if out.quick else 3
     counts = [2, 3] if out.quick else [2, 3, 4]
-    points = [{"method": name, "levels": n} for name in METHODS
-              for n in ([1] if name.startswith(("one", "active")) else counts)]
-    table = am.Study(run, points, out.store, fixed={"finest": finest}).run(throw=True)
-    table = table[["method", "levels", "nodes", "cycles", "work", "solve_seconds", "final_error", "outcome"]]
-    out.table("methods", table.rename(columns={"levels": "grids", "solve_seconds": "seconds"}),
-              "Bolted junction: cycles, work and seconds to a true error of 1e-6", units={"work": "WU", "seconds": "s"},
-              formats={"work": ".1f", "seconds": ".3f", "final_error": ".0e"})
+    compare(out, run, list(METHODS), counts, "Bolted junction: cycles, work and seconds to a true error of 1e-6",
+            finest=finest)
 
     flanges, grids = am.cases.Flanges(), chain(finest, finest + 1)
     steps = am.solve_path(grids, am.cases.junction_path(grids.problem, PRESSURES))

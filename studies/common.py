@@ -68,8 +68,8 @@ class Output:
         self.failed: list[str] = []
         self._begin = time.perf_counter()
 
-    def table(self, name: str, frame: pd.DataFrame, caption: str, note: str = "", *, units: Mapping[str, str] | None = None,
-              formats: Mapping[str, str] | None = None, card: str = "") -> None:
+    def table(self, name: str, frame: pd.DataFrame, caption: str, note: str = "", *, card: str = "",
+              units: Mapping[str, str] | None = None, formats: Mapping[str, str] | None = None) -> None:
         """Print a table and write it as CSV; ``card`` puts it on the report's first screen, with ``note`` below."""
         write_bytes(self.folder / f"{name}.csv", frame.to_csv(index=False).encode())
         print("\n" + as_text(frame, caption=caption, note=note, units=units, formats=formats))
@@ -166,19 +166,26 @@ def quickest(hierarchy: am.Hierarchy, solver: Any, times: int = 3, seconds: floa
     return min(results, key=lambda result: result.seconds)
 
 
-def work_to(result: am.Result, error: float) -> float:
-    """Work units when the true error first fell below ``error``, interpolated in its logarithm; NaN if it did not."""
-    history, work = np.log(result.history["true_error"]), result.history["work_units"]
-    below = np.flatnonzero(history <= np.log(error))
-    if not below.size:
-        return np.nan
-    k = max(int(below[0]), 1)
-    return float(np.interp(-np.log(error), -history[k - 1:k + 1], work[k - 1:k + 1]))
+def measured(hierarchy: am.Hierarchy, solver: Any, reference: am.Result, error: float) -> dict[str, Any]:
+    """The quickest of three runs: its cycles, its work to a true error, its seconds and how it ended."""
+    result = quickest(hierarchy, solver, reference=reference)
+    return {"nodes": hierarchy.finest.n_nodes, "cycles": result.cycles,
+            "work": result.work_to(error, of="true_error"), "total_work": result.work_units,
+            "solve_seconds": result.seconds, "final_error": result.history["true_error"][-1],
+            "outcome": result.status.name}
 
 
-def total_seconds(hierarchy: am.Hierarchy, result: am.Result) -> float:
-    """Seconds of meshing, assembly, transfers and the solve with its set-up."""
-    return sum(hierarchy.timings.get(name, 0.0) for name in ("mesh", "assembly", "transfer")) + result.seconds
+def compare(out: Output, run: Callable[..., dict[str, Any]], methods: Sequence[str], counts: Sequence[int],
+            caption: str, **fixed: Any) -> pd.DataFrame:
+    """Compute methods on ``counts`` grids (those of one grid on one), and print cycles, work and seconds."""
+    points = [{"method": name, "levels": n} for name in methods
+              for n in ([1] if name.startswith(("one", "active")) else counts)]
+    table = am.Study(run, points, out.store, fixed=fixed).run(throw=True)
+    table = table[["method", "levels", "nodes", "cycles", "work", "solve_seconds", "final_error", "outcome"]]
+    table = table.rename(columns={"levels": "grids", "solve_seconds": "seconds"})
+    out.table("methods", table, caption, units={"work": "WU", "seconds": "s"},
+              formats={"work": ".1f", "seconds": ".3f", "final_error": ".0e"})
+    return table
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float:

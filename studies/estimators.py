@@ -42,7 +42,8 @@ def run(case: str, engine: str, most: int) -> dict:
 
 def goal(case: str, most: int) -> dict:
     """Signed estimates of a goal on bisected meshes against the corrected value on the last one, as JSON."""
-    steps = list(am.adapt(CASES[case][0](), CASES[case][1], am.Goal(GOALS[case]), engine=am.Bisect(), max_nodes=8 * most))
+    make, size, _ = CASES[case]
+    steps = list(am.adapt(make(), size, am.Goal(GOALS[case]), engine=am.Bisect(), max_nodes=8 * most))
     exact = steps[-1].estimate.corrected
     rows = [{"nodes": step.nodes, "error": exact - step.estimate.value, "signed": step.estimate.signed,
              "relative": (exact - step.estimate.value) / exact} for step in steps if step.nodes <= most]
@@ -93,8 +94,8 @@ def study(out: Output) -> None:
     ax.axhline(1.0, color="grey")
     ax.set(xlabel="nodes", ylabel="estimate over true error", ylim=(0, None))
     figure.legend(loc="outside right upper")
-    out.figure("effectivity", figure, "Residual estimate (solid) and recovered one (dotted) over the true error, remeshed "
-               "loops")
+    out.figure("effectivity", figure, "Residual estimate (solid) and recovered one (dotted) over the true error, "
+               "remeshed loops")
     exact = table[table["problem"].isin(EXACT)]
     out.check("largest residual estimate over the true error, closed forms", float(exact["residual, largest"].max()),
               high=4.5)

@@ -40,8 +40,9 @@ def study(out: Output) -> None:
     """Compute all cases on finer and finer meshes."""
     fineness = [5, 10] if out.quick else [5, 10, 20, 40, 80] if out.full else [5, 10, 20, 40]
     table = am.Study(run, {"case": list(CASES), "fineness": fineness}, out.store).run(throw=True)
-    columns = ["case", "fineness", "nodes", "contact_nodes", "a_error", "peak_error", "stick_error", "cycles", "work_units"]
-    out.table("errors", table[columns], "Half-width, peak pressure and stick zone against the closed forms",
+    table = table[["case", "fineness", "nodes", "contact_nodes", "a_error", "peak_error", "stick_error", "cycles",
+                   "work_units"]]
+    out.table("errors", table, "Half-width, peak pressure and stick zone against the closed forms",
               "Fineness: half-width over the edge length at contact.", units={"work_units": "WU"},
               formats={"a_error": ".1e", "peak_error": ".1e", "stick_error": ".1e", "work_units": ".1f"})
     figure, ax = plt.subplots(figsize=(6.4, 3.2))

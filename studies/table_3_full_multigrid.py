@@ -10,7 +10,7 @@ not change the rate of the others. The first coarse solution is solved to 1e-3; 
 """
 
 import pandas as pd
-from common import Output, exact, grids, main, paper, quickest, warm_up, work_to
+from common import Output, exact, grids, main, paper, quickest, warm_up
 from matplotlib import pyplot as plt
 
 import adaptmg as am
@@ -32,14 +32,16 @@ def run(problem: str, method: str) -> dict:
     warm_up()
     result = quickest(grids(problem, DIVISIONS), METHODS[method], reference=exact(problem, DIVISIONS[-1]))
     return {"solve_seconds": result.seconds, "final_error": result.history["true_error"][-1],
-            "outcome": result.status.name, **{f"work to {error:.0e}": work_to(result, error) for error in ERRORS}}
+            "outcome": result.status.name,
+            **{f"work to {error:.0e}": result.work_to(error, of="true_error") for error in ERRORS}}
 
 
 def study(out: Output) -> None:
     """Compute the work to three errors, from zero and from the full start."""
     problems = ["frictionless bar", "GRECO bar", "curved obstacle"]
     table = am.Study(run, {"problem": problems, "method": list(METHODS)}, out.store).run(throw=True)
-    table = table[["problem", "method", *(f"work to {e:.0e}" for e in ERRORS), "solve_seconds", "final_error", "outcome"]]
+    table = table[["problem", "method", *(f"work to {e:.0e}" for e in ERRORS), "solve_seconds", "final_error",
+                   "outcome"]]
     work = table.pivot(index="method", columns="problem", values="work to 1e-06").loc[list(METHODS)]
     seconds = table.pivot(index="method", columns="problem", values="solve_seconds").loc[list(METHODS)]
     printed = paper("table3_full_start")["seconds"]

@@ -81,8 +81,8 @@ def study(out: Output) -> None:
               units={"build_ms": "ms", "default_work": "WU", "monotone_work": "WU"},
               formats={"build_ms": ".1f", "entries": ".2f", "affine_error": ".0e", "default_cycles": ".0f",
                        "monotone_cycles": ".0f", "default_work": ".0f", "monotone_work": ".0f"})
-    ratios = am.Study(two_grids, {"where": ["everywhere", "at contact"], "ratio": [2, 4] if out.quick else [2, 3, 4, 6]},
-                      out.store, name="ratios").run(throw=True)
+    apart = {"where": ["everywhere", "at contact"], "ratio": [2, 4] if out.quick else [2, 3, 4, 6]}
+    ratios = am.Study(two_grids, apart, out.store, name="ratios").run(throw=True)
     ratios = ratios[["where", "ratio", "coarse_nodes", "nodes", "cycles", "rate", "monotone_cycles", "monotone_rate"]]
     out.table("ratios", ratios, "Two grids: the ratio of their mesh sizes, interpolation, from zero",
               formats={"rate": ".2f", "monotone_rate": ".2f"})
