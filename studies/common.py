@@ -27,6 +27,8 @@ matplotlib.use("Agg")
 
 import numpy as np
 import pandas as pd
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import adaptmg as am
@@ -95,6 +97,11 @@ class Output:
         self.items.append({"kind": "check", "text": text, "met": met})
         self.failed += [] if met else [text]
 
+    def number(self, what: str, measured: str) -> None:
+        """Add a row to the table of measured numbers, which ``reproduce.py --record`` writes for the README."""
+        print(f"\n{what}: {measured}")
+        self.items.append({"kind": "number", "what": what, "measured": measured})
+
     def close(self, docstring: str) -> None:
         """Write the section for the report."""
         title, text = question_and_text(docstring)
@@ -153,26 +160,38 @@ def warm_up(dim: int = 2) -> None:
     case = am.cases.greco_bar if dim == 2 else am.cases.greco_block
     for law in (am.Coulomb(1.0), am.Frictionless()):
         hierarchy = am.Hierarchy.graded(case(law=law), (20e-3, 10e-3) if dim == 2 else (40e-3, 20e-3), contact_ratio=2)
-        for solver in (am.FullMultigrid(), am.Multigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(),
-                       am.ActiveSet(linear=am.AMG())):
+        for solver in (am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(linear=am.AMG())):
             am.solve(hierarchy, solver, throw=False)
 
 
-def quickest(hierarchy: am.Hierarchy, solver: Any, times: int = 3, seconds: float = 0.5, **options: Any) -> am.Result:
-    """Solve up to ``times`` times, as long as that takes no more than ``seconds``, and return the quickest run."""
-    results = [am.solve(hierarchy, solver, throw=False, **options)]
-    while len(results) < times and sum(result.seconds for result in results) < seconds:
-        results.append(am.solve(hierarchy, solver, throw=False, **options))
-    return min(results, key=lambda result: result.seconds)
+def cpu(call: Callable[[], Any], times: int = 3, seconds: float = 0.5) -> float:
+    """Least processor time of up to ``times`` calls, as long as together they take no more than ``seconds``."""
+    spent: list[float] = []
+    while not spent or (len(spent) < times and sum(spent) < seconds):
+        begin = time.process_time()
+        call()
+        spent.append(time.process_time() - begin)
+    return min(spent)
+
+
+def timed(hierarchy: am.Hierarchy, solver: Any, **options: Any) -> tuple[am.Result, float]:
+    """The result of a run with options, and the processor seconds of further ones without: kernels are warm then."""
+    result = am.solve(hierarchy, solver, throw=False, **options)
+    return result, cpu(lambda: am.solve(hierarchy, solver, throw=False))
+
+
+def drawing(height: float = 3.2) -> tuple[Figure, Axes]:
+    """A figure as wide as half the page, with room for a legend outside."""
+    return plt.subplots(figsize=(7.2, height), layout="constrained")
 
 
 def measured(hierarchy: am.Hierarchy, solver: Any, reference: am.Result, error: float) -> dict[str, Any]:
-    """The quickest of three runs: its cycles, its work to a true error, its seconds and how it ended."""
-    result = quickest(hierarchy, solver, reference=reference)
+    """Cycles of a run, its work to a true error, its processor seconds and how it ended."""
+    result, seconds = timed(hierarchy, solver, reference=reference)
     return {"nodes": hierarchy.finest.n_nodes, "cycles": result.cycles,
             "work": result.work_to(error, of="true_error"), "total_work": result.work_units,
-            "solve_seconds": result.seconds, "final_error": result.history["true_error"][-1],
-            "outcome": result.status.name}
+            "solve_seconds": seconds, "final_error": result.history["true_error"][-1],
+            "outcome": result.status.name + ", by active set" * bool(result.fallback)}
 
 
 def compare(out: Output, run: Callable[..., dict[str, Any]], methods: Sequence[str], counts: Sequence[int],

@@ -1,12 +1,11 @@
 """Linear solvers on the glued problem (all contact dofs fixed): rivals stopped at a true error.
 
 Each rival first runs to a relative energy error of 1e-8, measured against its own solution at 1e-13, to learn how many
-iterations that takes; then exactly that many are timed. Set-up and solve are timed apart.
+iterations that takes; then exactly that many are timed.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -105,19 +104,6 @@ def geometric_preconditioner(problem: Glued) -> Callable[[np.ndarray], np.ndarra
     return precondition
 
 
-@dataclass(frozen=True)
-class Timed:
-    """Seconds of set-up and solve, of wall and of one processor."""
-
-    setup: float
-    solve: float
-    seconds: float
-
-
-def time_iterative(problem: Glued, build: Callable[[], Callable[[np.ndarray], np.ndarray]], iterations: int) -> Timed:
-    """Set up and iterate n times."""
-    begin, processor = time.perf_counter(), time.process_time()
-    precondition = build()
-    ready = time.perf_counter()
+def iterate(problem: Glued, precondition: Callable[[np.ndarray], np.ndarray], iterations: int) -> None:
+    """Iterate n times."""
     conjugate_gradients(problem.matrix, problem.load, precondition, iterations)
-    return Timed(ready - begin, time.perf_counter() - ready, time.process_time() - processor)

@@ -13,8 +13,7 @@ import time
 from itertools import pairwise
 
 import numpy as np
-from common import Output, main, warm_up
-from matplotlib import pyplot as plt
+from common import Output, drawing, main, warm_up
 
 import adaptmg as am
 from adaptmg.mesh import graded
@@ -86,7 +85,7 @@ def study(out: Output) -> None:
     ratios = ratios[["where", "ratio", "coarse_nodes", "nodes", "cycles", "rate", "monotone_cycles", "monotone_rate"]]
     out.table("ratios", ratios, "Two grids: the ratio of their mesh sizes, interpolation, from zero",
               formats={"rate": ".2f", "monotone_rate": ".2f"})
-    figure, ax = plt.subplots(figsize=(6.4, 3.2))
+    figure, ax = drawing()
     for (where, rows), mark in zip(ratios.groupby("where", sort=False), "os", strict=True):
         ax.plot(rows["ratio"], rows["rate"], f"{mark}-", label=f"{where}, default")
         ax.plot(rows["ratio"], rows["monotone_rate"], f"{mark}:", label=f"{where}, monotone")
