@@ -142,6 +142,10 @@ def study(out: Output) -> None:
     ax.axhline(1.0, color="grey")
     ax.set(xlabel="energy error [%]", ylabel="seconds, uniform over adaptive")
     ax.invert_xaxis()
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}")
+    ax.tick_params(which="minor", labelsize=8)
     figure.legend(loc="outside right upper")
     out.figure("seconds", figure, "Seconds on uniform meshes over those on remeshed ones at equal energy error; above "
                "1 adaptive meshes are quicker", card="Seconds at equal error")

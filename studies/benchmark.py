@@ -47,11 +47,11 @@ def triad() -> float:
     return 5 * a.nbytes / cpu(run)
 
 
-def bar(divisions: int, law: am.Law | None = None, dim: int = 2) -> am.Hierarchy:
+def bar(divisions: int, dim: int = 2) -> am.Hierarchy:
     """Uniform grids of the bar or the block."""
     make = am.cases.greco_bar if dim == 2 else am.cases.greco_block
     count = max(divisions.bit_length() - (2 if dim == 2 else 1), 1)
-    return am.Hierarchy.uniform(make(law=law or am.Coulomb(1.0)), chain(divisions, count))
+    return am.Hierarchy.uniform(make(), chain(divisions, count))
 
 
 def meshing(case: str, levels: int) -> dict:

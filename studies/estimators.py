@@ -43,9 +43,9 @@ def goal(case: str, most: int) -> dict:
     """Signed estimates of a goal on bisected meshes against the corrected value on the last one, as JSON."""
     make, size, _ = CASES[case]
     steps = list(am.adapt(make(), size, am.Goal(GOALS[case]), engine=am.Bisect(), max_nodes=8 * most))
-    exact = steps[-1].estimate.corrected
-    rows = [{"nodes": step.nodes, "error": exact - step.estimate.value, "signed": step.estimate.signed,
-             "relative": (exact - step.estimate.value) / exact} for step in steps if step.nodes <= most]
+    exact = float(steps[-1].estimate.corrected[0])
+    rows = [{"nodes": step.nodes, "error": exact - float(step.estimate.value), "signed": float(step.estimate.signed),
+             "relative": 1 - float(step.estimate.value) / exact} for step in steps if step.nodes <= most]
     return {"steps": json.dumps(rows)}
 
 

@@ -49,6 +49,8 @@ def study(out: Output) -> None:
         line, = ax.loglog(rows["fineness"], rows["peak_error"].abs(), "o-", label=f"{case}, peak")
         ax.loglog(rows["fineness"], rows["a_error"].abs(), "s:", color=line.get_color(), label=f"{case}, half-width")
     ax.set(xlabel="half-width over edge length at contact", ylabel="relative error")
+    ax.set_xticks(fineness, map(str, fineness))
+    ax.minorticks_off()
     figure.legend(loc="outside right upper")
     out.figure("errors", figure, "Errors of peak pressure and half-width against the fineness at contact")
     last = table[table["fineness"] == fineness[-1]]
