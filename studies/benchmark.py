@@ -1,255 +1,190 @@
-"""The fast solver against linear solvers on the same mesh: cycles, work, seconds by phase, memory, scaling.
-
-Both sides are stopped at a true relative energy error of 1e-8, each for its own problem: ours of the contact problem
-with friction, the rivals of the linear problem in which all contact dofs are fixed ('glued'). Our seconds hold the
-nested start; set-up (splitting and coarse matrices) and transfers are listed apart and in a ratio of their own. A first
-run learns how many cycles or iterations that takes; timed runs then do exactly that many, in turns, medians are kept.
-The exact solution of a contact problem is our own at an estimated error of 1e-13, on grids small enough checked against
-the active set method with direct solves.
+"""How fast is it where people wait: meshes, small solves, large problems, against pyamg and the active set method?
 
     python studies/benchmark.py [--quick | --full] [--out DIR]
+
+Processor seconds of one thread with warm kernels, the least of several runs, unless a row says otherwise. A pass is the
+finest matrix read once at the speed of a triad (a = b + s c on long arrays), so that passes compare machines. From
+problem to solution counts meshes, matrices, transfers, set-up, nested start, cycles and the certificate; the linear
+rival is conjugate gradients with smoothed aggregation of pyamg on the glued matrix of the same mesh, to a true error of
+1e-8, set-up counted.
 """
 
-from __future__ import annotations
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
 
-from dataclasses import dataclass
-from functools import lru_cache, partial
-from statistics import median
-from typing import Any
-
-import benchmark_tables as shown
-import common
-import linear_rivals as rivals
 import numpy as np
 import pandas as pd
-import waiting
+import psutil
+from common import Output, chain, cpu, drawing, main, warm_up
+from linear_rivals import glued, iterate, iterations_needed, pyamg_preconditioner
 
 import adaptmg as am
-from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.truncated_step import TruncatedStep
-from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.truncated import TruncatedRun
 
-TOLERANCE = 1e-8
-
-#: family -> sizes: divisions of the finest grid, or halvings of the coarsest mesh
-SIZES = {"nested 2D": (128, 192, 256, 384, 512, 768, 1024), "nested 3D": (16, 32, 64), "independent 2D": (4, 5, 6),
-         "independent 3D": (2, 3)}
-QUICK = {"nested 2D": (32, 64), "nested 3D": (8,), "independent 2D": (2,), "independent 3D": (1,)}
-#: nodes up to which each check or rival is run
-ACTIVE_SET, CHOLESKY, ALL_SETTINGS, SINGLE_GRID = 20_000, 300_000, 70_000, 1_200
-FRICTION, QUICK_FRICTION = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0), (0.3, 2.0)
+#: what a new process runs; the second number is the import
+FIRST = """
+import time
+begin = time.perf_counter()
+import adaptmg as am
+imported = time.perf_counter() - begin
+am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8, 16, 32)), am.FullMultigrid())
+print(time.perf_counter() - begin, imported)
+"""
 
 
-@lru_cache(maxsize=1)
-def grids(family: str, size: int, friction: float) -> am.Hierarchy:
-    """A hierarchy of the GRECO bar or block."""
-    law = am.Coulomb(friction) if friction > 0 else am.Frictionless()
-    if family == "nested 2D":
-        return am.Hierarchy.uniform(am.cases.greco_bar(law=law), _halved(size, 4))
-    if family == "nested 3D":
-        return am.Hierarchy.uniform(am.cases.greco_block(law=law, plane_strain=False), _halved(size, 2))
-    if family == "independent 2D":
-        return am.Hierarchy.graded(am.cases.greco_bar(law=law), [16e-3 / 2**k for k in range(size + 1)], 2.0)
-    return am.Hierarchy.graded(am.cases.greco_block(law=law, plane_strain=False),
-                               [16e-3 / 2**k for k in range(size + 1)], 2.0)
+def triad() -> float:
+    """Bytes a second of a = b + s c on arrays of 64 MB, three of which are touched."""
+    a, b, c = (np.ones(2**23) for _ in range(3))
+
+    def run() -> None:
+        np.multiply(c, 3.0, out=a)
+        np.add(a, b, out=a)
+
+    return 5 * a.nbytes / cpu(run)
 
 
-def _halved(size: int, smallest: int) -> list[int]:
-    chain = [size]
-    while chain[0] % 2 == 0 and chain[0] // 2 >= smallest:
-        chain.insert(0, chain[0] // 2)
-    return chain
+def bar(divisions: int, dim: int = 2) -> am.Hierarchy:
+    """Uniform grids of the bar or the block."""
+    make = am.cases.greco_bar if dim == 2 else am.cases.greco_block
+    count = max(divisions.bit_length() - (2 if dim == 2 else 1), 1)
+    return am.Hierarchy.uniform(make(), chain(divisions, count))
 
 
-def run_ours(hierarchy: am.Hierarchy, rtol: float, max_cycles: int = 100, reference: np.ndarray | None = None
-             ) -> tuple[Run, Outcome, int]:
-    """One run, without the checks around it; the record, the outcome, bytes of the solver's arrays."""
-    solver = am.FullMultigrid(correction=am.Truncated(), rtol=rtol, max_cycles=max_cycles)
-    run = Run(unit=hierarchy.finest.matrix.nnz, reference=reference)
-    machine = _Measured(solver.truncated, hierarchy, run)
-    outcome = machine.from_nested(solver.start)
-    return run, outcome, machine.nbytes
+def meshing(case: str, levels: int) -> dict:
+    """Graded hierarchies: microseconds a node of all levels' meshes, and hierarchy over solve."""
+    warm_up(3 if case.endswith("3D") else 2)
+    make, size, ratio = {"GRECO bar": (am.cases.greco_bar, 10e-3, 4), "dovetail": (am.cases.dovetail, 8e-3, 4),
+                         "GRECO block 3D": (am.cases.greco_block, 20e-3, 2)}[case]
+    sizes = [size / 2**k if case != "GRECO bar" else size / 1.65**k for k in range(levels)]
+    am.Hierarchy.graded(make(), sizes[:2], contact_ratio=ratio)
+    begin = time.process_time()
+    grids = am.Hierarchy.graded(make(), sizes, contact_ratio=ratio)
+    built = time.process_time() - begin
+    result = am.solve(grids, am.FullMultigrid(), throw=False)
+    return {"nodes": grids.finest.n_nodes, "work": result.work_units, "cycles": result.cycles,
+            "us a node": 1e6 * built / sum(level.n_nodes for level in grids.levels),
+            "over solve": built / cpu(lambda: am.solve(grids, am.FullMultigrid(), throw=False))}
 
 
-class _Measured(TruncatedRun):
-    """A run that notes the memory of its last step."""
+def small(divisions: int) -> dict:
+    """Milliseconds of solves in a friction sweep on the same meshes, hierarchy counted; the active set over ours."""
+    warm_up()
+    grids, frictions = bar(divisions), np.linspace(0.1, 1.0, 10)
 
-    def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
-        step = super()._step(number, unknowns)
-        self.nbytes = _bytes(step, set())
-        return step
+    def sweep() -> None:
+        for friction in frictions:
+            am.solve(grids.with_problem(am.cases.greco_bar(law=am.Coulomb(float(friction)))), am.FullMultigrid())
 
+    def peer(rtol: float) -> float:
+        return cpu(lambda: am.solve(grids, am.FullMultigrid(rtol=rtol)), 20)
 
-def _bytes(thing: Any, seen: set[int]) -> int:
-    """Memory of the arrays that a step, its matrices and transfers hold, bytes."""
-    if id(thing) in seen or isinstance(thing, Run | RigidMotions):
-        return 0
-    seen.add(id(thing))
-    if isinstance(thing, np.ndarray):
-        return thing.nbytes
-    parts = thing if isinstance(thing, list | tuple) else thing.values() if isinstance(thing, dict) else vars(
-        thing).values() if hasattr(thing, "__dict__") else ()
-    return sum(_bytes(part, seen) for part in parts)
-
-
-def full_passes(run: Run, hierarchy: am.Hierarchy) -> float:
-    """Every sweep, and every residual on a coarser level, as a whole pass over the discretised matrix of its level."""
-    finest = len(hierarchy) - 1
-    total = 0.0
-    for level, action, times in run.path:
-        passes = times if action == "smooth" else 1 if action == "restrict" and level < finest else 0
-        total += passes * hierarchy[level].matrix.nnz
-    return total / run.unit
+    sweep()
+    am.solve(grids, am.ActiveSet(rtol=1e-8))
+    ours = peer(1e-8)
+    return {"nodes": grids.finest.n_nodes, "sweep_ms": 1e3 * cpu(sweep) / len(frictions), "ours_ms": 1e3 * ours,
+            "loose over tight": peer(1e-2) / ours,
+            "active set over ours": cpu(lambda: am.solve(grids, am.ActiveSet(rtol=1e-8)), 20) / ours}
 
 
-@dataclass(frozen=True)
-class Needed:
-    """What the tolerance takes."""
-
-    cycles: int
-    start_error: float
-    row: dict[str, float]
-    run: Run
-    nbytes: int
-    status: str
-    rate: float
-
-
-def needed(hierarchy: am.Hierarchy) -> Needed:
-    """Cycles to the true error of 1e-8."""
-    _, exact, _ = run_ours(hierarchy, 1e-13)
-    if hierarchy.finest.n_nodes <= ACTIVE_SET:
-        checked = am.solve(hierarchy, am.ActiveSet(rtol=1e-12, nested_start=True)).displacement
-        difference = np.abs(checked - exact.displacement).max() / np.abs(checked).max()
-        if not difference <= 1e-9:
-            raise RuntimeError(f"the active set solution differs by {difference:.1e}")
-    run, outcome, nbytes = run_ours(hierarchy, 1e-10, reference=exact.displacement)
-    below = [row for row in run.history if row["true_error"] <= TOLERANCE]
-    if not below:
-        raise RuntimeError(f"the error stays at {run.history[-1]['true_error']:.1e}: {outcome.status.name}")
-    return Needed(int(below[0]["cycle"]), run.history[0]["true_error"], below[0], run, nbytes, outcome.status.name,
-                  outcome.rate)
+def large(dim: int, divisions: int) -> dict:
+    """From problem to solution in passes over the finest matrix; pyamg on the glued matrix; memory."""
+    warm_up(dim)
+    memory = psutil.Process().memory_info().rss
+    begin = time.process_time()
+    grids = bar(divisions, dim=dim)
+    built = time.process_time()
+    result = am.solve(grids, am.FullMultigrid())
+    whole, solve = time.process_time() - begin, time.process_time() - built
+    kept = psutil.Process().memory_info().rss - memory
+    matrix = grids.finest.matrix
+    one_pass = (matrix.data.nbytes + matrix.indices.nbytes) / triad()
+    problem = glued(grids)
+    build = partial(pyamg_preconditioner, problem)
+    count = iterations_needed(problem, build())
+    rival = cpu(lambda: iterate(problem, build(), count))
+    return {"nodes": grids.finest.n_nodes, "work": result.work_units, "cycles": result.cycles,
+            "passes": whole / one_pass, "solve passes": solve / one_pass, "bytes": kept / matrix.shape[0],
+            "over pyamg": whole / rival, "solve over pyamg": solve / rival}
 
 
-def measure(family: str, size: int, friction: float, repetitions: int, linear: bool) -> dict[str, Any]:
-    """One row."""
-    hierarchy = grids(family, size, friction)
-    found = needed(hierarchy)
-    n, dofs = hierarchy.finest.n_nodes, hierarchy.finest.matrix.shape[0]
-    row: dict[str, Any] = {"nodes": n, "levels": len(hierarchy), "cycles": found.cycles, "rate": found.rate,
-                           "work": found.row["work_units"], "start_work": found.run.start_work_units,
-                           "start_error": found.start_error, "bytes_per_dof": found.nbytes / dofs}
-    calls: dict[str, Any] = {"ours": lambda: _time_ours(hierarchy, max(found.cycles, 1))}
-    problem = rivals.glued(hierarchy) if linear else None
-    if problem is not None and family.startswith("nested"):
-        iterations = rivals.iterations_needed(problem, rivals.geometric_preconditioner(problem)[0])
-        calls["mgcg"] = lambda: _time_linear(problem, lambda: rivals.geometric_preconditioner(problem)[0], iterations)
-        if n <= CHOLESKY:
-            build = partial(rivals.geometric_pyamg_preconditioner, problem)
-            count = rivals.iterations_needed(problem, build())
-            calls["pyamg mgcg"] = partial(_time_linear, problem, build, count)
-    if problem is not None:
-        names = list(rivals.SETTINGS) if n <= ALL_SETTINGS else ["defaults"]
-        for name in names:
-            count = rivals.iterations_needed(problem, rivals.pyamg_preconditioner(problem, name))
-            calls[f"sa {name}"] = partial(_time_linear, problem,
-                                          partial(rivals.pyamg_preconditioner, problem, name), count)
-    seconds: dict[str, list[dict[str, float]]] = {name: [] for name in calls}
-    for _ in range(repetitions):
-        for name, call in calls.items():
-            seconds[name].append(call())
-    times = {name: {key: median(one[key] for one in each) for key in each[0]} for name, each in seconds.items()}
-    own = times["ours"]
-    row |= {"full_passes": own["full_passes"], "solve_s": own["solve"], "setup_s": own["setup"]}
-    row |= {f"{name}_s": hierarchy.timings[name] for name in ("mesh", "assembly", "transfer")}
-    if problem is not None:
-        row |= _ratios(times, row, hierarchy, problem)
-    return row
+def independent(dim: int) -> dict:
+    """Work units on independent meshes with size ratio 2."""
+    make = am.cases.greco_bar if dim == 2 else am.cases.greco_block
+    sizes = [16e-3 / 2**k for k in range(5 if dim == 2 else 3)]
+    result = am.solve(am.Hierarchy.graded(make(), sizes, contact_ratio=2), am.FullMultigrid())
+    return {"nodes": len(result.displacement), "work": result.work_units, "cycles": result.cycles}
 
 
-def _time_ours(hierarchy: am.Hierarchy, cycles: int) -> dict[str, float]:
-    # the tolerance is out of reach, so that exactly that many cycles are done
-    run, _, _ = run_ours(hierarchy, 1e-300, cycles)
-    return {"setup": run.timings["setup"], "solve": run.timings["start"] + run.timings["cycles"],
-            "full_passes": full_passes(run, hierarchy)}
+def process(cache: str) -> dict:
+    """Wall seconds of the first solve of a new process: compiled kernels in the cache, or an empty one."""
+    with tempfile.TemporaryDirectory() as empty:
+        more = {"NUMBA_CACHE_DIR": empty} if cache == "empty" else {}
+        runs = [subprocess.run([sys.executable, "-c", FIRST], capture_output=True, text=True, check=True,
+                               env=os.environ | more).stdout.split() for _ in range(1 if cache == "empty" else 3)]
+    return {"wall_s": min(float(run[0]) for run in runs), "import_s": min(float(run[1]) for run in runs)}
 
 
-def _time_linear(problem: rivals.Glued, build: Any, iterations: int) -> dict[str, float]:
-    timed = rivals.time_iterative(problem, build, iterations)
-    return {"iterations": timed.iterations, "setup": timed.setup, "solve": timed.solve,
-            "total": timed.setup + timed.solve}
+def rows_of(out: Output) -> list[tuple[str, float, str]]:
+    """Every measure with its value and unit."""
+    quick = out.quick
+    rows: list[tuple[str, float, str]] = []
+
+    def study(run: Callable[..., dict], points: list[dict]) -> list[dict]:
+        return am.Study(run, points, out.store, name=run.__name__).run(throw=True).to_dict("records")
+
+    for row in study(meshing, [{"case": case, "levels": n} for case, n in (
+            [("GRECO bar", 4)] if quick else [("GRECO bar", 8), ("dovetail", 5), ("GRECO block 3D", 4)])]):
+        name = f"{row['case']}, {row['levels']} graded levels to {row['nodes']} nodes"
+        rows += [(f"{name}: hierarchy", row["us a node"], "us a node"),
+                 (f"{name}: hierarchy over solve", row["over solve"], ""), (f"{name}: work", row["work"], "WU")]
+    for row in study(small, [{"divisions": n} for n in ((8, 16) if quick else (8, 16, 32))]):
+        name = f"bar of {row['nodes']} nodes"
+        rows += [(f"{name}: a solve in a friction sweep", row["sweep_ms"], "ms"),
+                 (f"{name}: seconds of the active set over ours", row["active set over ours"], ""),
+                 (f"{name}: seconds to 1e-2 over those to 1e-8", row["loose over tight"], "")]
+    sizes = [(2, 64), (3, 8)] if quick else [(2, 256), (2, 512), (3, 32)] + [(2, 1024), (3, 64)] * out.full
+    for row in study(large, [{"dim": dim, "divisions": n} for dim, n in sizes]):
+        name = f"{row['dim']}D, {row['nodes']} nodes"
+        rows += [(f"{name}: work", row["work"], "WU"), (f"{name}: problem to solution", row["passes"], "passes"),
+                 (f"{name}: am.solve alone", row["solve passes"], "passes"),
+                 (f"{name}: memory of hierarchy and result", row["bytes"], "B/dof"),
+                 (f"{name}: am.solve over a linear solve by pyamg", row["solve over pyamg"], ""),
+                 (f"{name}: problem to solution over pyamg", row["over pyamg"], "")]
+    for row in study(independent, [{"dim": 2}] if quick else [{"dim": 2}, {"dim": 3}]):
+        rows.append((f"{row['dim']}D independent meshes, {row['nodes']} nodes: work", row["work"], "WU"))
+    for row in study(process, [{"cache": "warm"}] if quick else [{"cache": "warm"}, {"cache": "empty"}]):
+        rows += [(f"new process, {row['cache']} kernel cache: first solve (wall)", row["wall_s"], "s"),
+                 (f"new process, {row['cache']} kernel cache: import (wall)", row["import_s"], "s")]
+    gains = out.folder.parent / "adaptive_vs_uniform" / "gains.csv"
+    for row in pd.read_csv(gains).to_dict("records") if gains.exists() else ():
+        rows.append((f"{row['problem']} at {row['energy error']:.2g} %: uniform over remeshed",
+                     row["remeshed: seconds"], "seconds"))
+    return rows
 
 
-def _ratios(times: dict[str, dict[str, float]], row: dict[str, Any], hierarchy: am.Hierarchy, problem: rivals.Glued
-            ) -> dict[str, float]:
-    """Our seconds over those of the rivals."""
-    own, whole = row["solve_s"], row["solve_s"] + row["setup_s"] + row["transfer_s"]
-    settings = {name: one for name, one in times.items() if name.startswith("sa ")}
-    best = min(settings, key=lambda name: settings[name]["total"])
-    default = settings["sa defaults"]
-    result: dict[str, Any] = {
-        "pyamg_iterations": default["iterations"], "pyamg_setup_s": default["setup"], "pyamg_solve_s": default["solve"],
-        "over_pyamg": own / default["total"], "with_setup_over_pyamg": whole / default["total"],
-        "best_setting": best.removeprefix("sa "), "over_best_pyamg": own / settings[best]["total"]}
-    if "mgcg" in times:
-        result |= {"mgcg_iterations": times["mgcg"]["iterations"], "mgcg_solve_s": times["mgcg"]["solve"],
-                   "over_mgcg": own / times["mgcg"]["solve"]}
-    if "pyamg mgcg" in times:
-        result["over_pyamg_mgcg"] = own / times["pyamg mgcg"]["solve"]
-    limit = CHOLESKY if problem.hierarchy.finest.discrete.dim == 2 else CHOLESKY // 6
-    if row["nodes"] <= limit and hierarchy.finest.mesh.source is not None:
-        factorised = rivals.time_cholesky(hierarchy, problem.fixed[-1])
-        result |= {"cholesky_s": factorised.setup + factorised.solve,
-                   "over_cholesky": own / (factorised.setup + factorised.solve)}
-    return result
-
-
-METHODS = {
-    "truncated": lambda: am.FullMultigrid(correction=am.Truncated()),
-    "monotone": lambda: am.FullMultigrid(correction=am.Monotone()),
-    "active set, direct": lambda: am.ActiveSet(rtol=TOLERANCE),
-    "active set, direct, nested start": lambda: am.ActiveSet(rtol=TOLERANCE, nested_start=True),
-    "active set, pyamg, nested start": lambda: am.ActiveSet(linear=am.AMG(), rtol=TOLERANCE, nested_start=True),
-    "single grid, omega 1": lambda: am.SingleGrid(),
-    "single grid, omega 1.9": lambda: am.SingleGrid(omega=1.9),
-    "single grid, omega 1.5, condensed": lambda: am.SingleGrid(omega=1.5, condensed=True),
-}
-
-
-def contact_method(size: int, method: str) -> dict[str, Any]:
-    """A method for the same contact problem, to an estimated error of 1e-8; the better of two runs."""
-    hierarchy = grids("nested 2D", size, 1.0)
-    if "single" in method and hierarchy.finest.n_nodes > SINGLE_GRID:
-        return {"nodes": hierarchy.finest.n_nodes, "outcome": "not run"}
-    results = [am.solve(hierarchy, METHODS[method](), throw=False) for _ in range(2)]
-    last = results[-1]
-    return {"nodes": hierarchy.finest.n_nodes, "cycles": last.cycles, "work": last.work_units,
-            "s": min(sum(r.timings.values()) for r in results), "residual": last.residual, "outcome": last.status.name}
-
-
-def run(context: common.Context) -> common.Section:
-    """All tables."""
-    run_ours(grids("nested 2D", 16, 1.0), TOLERANCE)
-    run_ours(grids("nested 3D", 4, 1.0), TOLERANCE)
-    sizes, repetitions = (QUICK, 2) if context.quick else (SIZES, 5)
-    parts, friction = [], []
-    for family, each in sizes.items():
-        parts.append(context.study(measure, {"family": [family], "size": list(each), "friction": [1.0]},
-                                   repetitions=repetitions, linear=True, timed=True))
-        middle = each[0] if context.quick else each[min(1, len(each) - 1)]
-        coefficients = QUICK_FRICTION if context.quick else FRICTION
-        friction.append(context.study(measure, {"family": [family], "size": [middle], "friction": list(coefficients)},
-                                      repetitions=1, linear=False, timed=True))
-    rows = pd.concat(parts, ignore_index=True)
-    against = context.study(contact_method, {"size": [16, 32] if context.quick else [32, 64, 128],
-                                             "method": list(METHODS)}, timed=True)
-    items: list[common.Table | common.Figure] = [
-        shown.work_table(rows), shown.seconds_table(rows), *shown.scaling_table(rows),
-        shown.friction_table(pd.concat(friction, ignore_index=True)), shown.methods_table(against),
-        waiting.table(context), shown.figure(rows)]
-    return common.Section("The fast solver", __doc__.split("\n\n")[1], items, summary=shown.summary(rows))
+def study(out: Output) -> None:
+    """Print every measure; the numbers of the large problems are drawn."""
+    table = pd.DataFrame(rows_of(out), columns=["measure", "value", "unit"])
+    out.table("measures", table, "Speed: every measure with its value and unit",
+              "Passes: of the finest matrix at triad speed. Over: a ratio of processor seconds.",
+              formats={"value": ".3g"})
+    passes = table[table["unit"] == "passes"]
+    figure, ax = drawing(0.3 * len(passes) + 1)
+    ax.barh(passes["measure"], passes["value"])
+    ax.set(xlabel="passes over the finest matrix at triad speed")
+    ax.invert_yaxis()
+    out.figure("passes", figure, "From problem to solution, and the solve alone, in passes over the finest matrix")
+    for row in table.to_dict("records"):
+        if out.full and row["measure"].endswith((": work", "problem to solution", "hierarchy", "by pyamg")):
+            out.number(row["measure"][0].upper() + row["measure"][1:], f"{row['value']:.3g} {row['unit']}".strip())
+    over = table[table["measure"].str.contains("am.solve over")]
+    out.check("am.solve of the contact problem over a linear solve by pyamg, largest ratio", float(over["value"].max()),
+              high=1.0)
 
 
 if __name__ == "__main__":
-    common.main(run, __doc__.split("\n")[0] + " Example: python studies/benchmark.py --quick --out /tmp/benchmark")
+    main(study)

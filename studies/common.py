@@ -27,6 +27,8 @@ matplotlib.use("Agg")
 
 import numpy as np
 import pandas as pd
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import adaptmg as am
@@ -68,8 +70,8 @@ class Output:
         self.failed: list[str] = []
         self._begin = time.perf_counter()
 
-    def table(self, name: str, frame: pd.DataFrame, caption: str, note: str = "", *, units: Mapping[str, str] | None = None,
-              formats: Mapping[str, str] | None = None, card: str = "") -> None:
+    def table(self, name: str, frame: pd.DataFrame, caption: str, note: str = "", *, card: str = "",
+              units: Mapping[str, str] | None = None, formats: Mapping[str, str] | None = None) -> None:
         """Print a table and write it as CSV; ``card`` puts it on the report's first screen, with ``note`` below."""
         write_bytes(self.folder / f"{name}.csv", frame.to_csv(index=False).encode())
         print("\n" + as_text(frame, caption=caption, note=note, units=units, formats=formats))
@@ -94,6 +96,11 @@ class Output:
         print(f"\n{'checked' if met else 'FAILED'}: {text}")
         self.items.append({"kind": "check", "text": text, "met": met})
         self.failed += [] if met else [text]
+
+    def number(self, what: str, measured: str) -> None:
+        """Add a row to the table of measured numbers, which ``reproduce.py --record`` writes for the README."""
+        print(f"\n{what}: {measured}")
+        self.items.append({"kind": "number", "what": what, "measured": measured})
 
     def close(self, docstring: str) -> None:
         """Write the section for the report."""
@@ -153,32 +160,51 @@ def warm_up(dim: int = 2) -> None:
     case = am.cases.greco_bar if dim == 2 else am.cases.greco_block
     for law in (am.Coulomb(1.0), am.Frictionless()):
         hierarchy = am.Hierarchy.graded(case(law=law), (20e-3, 10e-3) if dim == 2 else (40e-3, 20e-3), contact_ratio=2)
-        for solver in (am.FullMultigrid(), am.Multigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(),
-                       am.ActiveSet(linear=am.AMG())):
+        for solver in (am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(linear=am.AMG())):
             am.solve(hierarchy, solver, throw=False)
 
 
-def quickest(hierarchy: am.Hierarchy, solver: Any, times: int = 3, seconds: float = 0.5, **options: Any) -> am.Result:
-    """Solve up to ``times`` times, as long as that takes no more than ``seconds``, and return the quickest run."""
-    results = [am.solve(hierarchy, solver, throw=False, **options)]
-    while len(results) < times and sum(result.seconds for result in results) < seconds:
-        results.append(am.solve(hierarchy, solver, throw=False, **options))
-    return min(results, key=lambda result: result.seconds)
+def cpu(call: Callable[[], Any], times: int = 3, seconds: float = 0.5) -> float:
+    """Least processor time of up to ``times`` calls, as long as together they take no more than ``seconds``."""
+    spent: list[float] = []
+    while not spent or (len(spent) < times and sum(spent) < seconds):
+        begin = time.process_time()
+        call()
+        spent.append(time.process_time() - begin)
+    return min(spent)
 
 
-def work_to(result: am.Result, error: float) -> float:
-    """Work units when the true error first fell below ``error``, interpolated in its logarithm; NaN if it did not."""
-    history, work = np.log(result.history["true_error"]), result.history["work_units"]
-    below = np.flatnonzero(history <= np.log(error))
-    if not below.size:
-        return np.nan
-    k = max(int(below[0]), 1)
-    return float(np.interp(-np.log(error), -history[k - 1:k + 1], work[k - 1:k + 1]))
+def timed(hierarchy: am.Hierarchy, solver: Any, **options: Any) -> tuple[am.Result, float]:
+    """The result of a run with options, and the processor seconds of further ones without: kernels are warm then."""
+    result = am.solve(hierarchy, solver, throw=False, **options)
+    return result, cpu(lambda: am.solve(hierarchy, solver, throw=False))
 
 
-def total_seconds(hierarchy: am.Hierarchy, result: am.Result) -> float:
-    """Seconds of meshing, assembly, transfers and the solve with its set-up."""
-    return sum(hierarchy.timings.get(name, 0.0) for name in ("mesh", "assembly", "transfer")) + result.seconds
+def drawing(height: float = 3.2) -> tuple[Figure, Axes]:
+    """A figure as wide as half the page, with room for a legend outside."""
+    return plt.subplots(figsize=(7.2, height), layout="constrained")
+
+
+def measured(hierarchy: am.Hierarchy, solver: Any, reference: am.Result, error: float) -> dict[str, Any]:
+    """Cycles of a run, its work to a true error, its processor seconds and how it ended."""
+    result, seconds = timed(hierarchy, solver, reference=reference)
+    return {"nodes": hierarchy.finest.n_nodes, "cycles": result.cycles,
+            "work": result.work_to(error, of="true_error"), "total_work": result.work_units,
+            "solve_seconds": seconds, "final_error": result.history["true_error"][-1],
+            "outcome": result.status.name + ", by active set" * bool(result.fallback)}
+
+
+def compare(out: Output, run: Callable[..., dict[str, Any]], methods: Sequence[str], counts: Sequence[int],
+            caption: str, **fixed: Any) -> pd.DataFrame:
+    """Compute methods on ``counts`` grids (those of one grid on one), and print cycles, work and seconds."""
+    points = [{"method": name, "levels": n} for name in methods
+              for n in ([1] if name.startswith(("one", "active")) else counts)]
+    table = am.Study(run, points, out.store, fixed=fixed).run(throw=True)
+    table = table[["method", "levels", "nodes", "cycles", "work", "solve_seconds", "final_error", "outcome"]]
+    table = table.rename(columns={"levels": "grids", "solve_seconds": "seconds"})
+    out.table("methods", table, caption, units={"work": "WU", "seconds": "s"},
+              formats={"work": ".1f", "seconds": ".3f", "final_error": ".0e"})
+    return table
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float:

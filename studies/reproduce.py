@@ -1,8 +1,9 @@
 """All studies, one HTML report that opens offline, with the tables as CSV and the figures as PNG next to it.
 
-    python studies/reproduce.py [--quick | --full] [--workers N] [--out DIR] [--fresh] [STUDY ...]
+    python studies/reproduce.py [--quick | --full] [--workers N] [--out DIR] [--fresh] [--record] [STUDY ...]
 
 Each study is a script of its own (python studies/STUDY.py) that stores its runs, so that an interrupted call goes on.
+``--record`` writes what all studies found in DIR so far into data/measured: readme.csv is the table of the README.
 """
 
 from __future__ import annotations
@@ -15,16 +16,18 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 HERE = Path(__file__).resolve().parent
-#: studies of a default run with their seconds on two cores; the second group is computed alone, as seconds matter there
+MEASURED = HERE.parent / "data" / "measured"
+#: studies of a default run with their processor seconds; they appear in this order, the longest are begun first
 STUDIES = {"table_1_grids": 12, "table_2_smoothings": 15, "table_3_full_multigrid": 12, "dovetail": 30,
-           "bolted_junction": 30, "estimators": 30, "transfers": 30}
-TIMED = {"amg": 40, "adaptive_vs_uniform": 90}
+           "bolted_junction": 30, "adaptive_vs_uniform": 90, "estimators": 30, "transfers": 30, "amg": 40}
 #: only with --full, or where they are named
 LARGE = {"hertz": 120, "benchmark": 300}
 TITLE = "adaptmg: multigrid for frictional contact"
@@ -37,45 +40,50 @@ of the default method's half sweeps uses each entry twice, a sweep of the other 
 True error: ||u - u_h||_A / ||u_h||_A against the exact discrete solution, found by an independent method (semismooth
 Newton with direct solves).
 
-Seconds are of this machine and this run, on one thread; those of tables 1 to 3 were measured while another study ran.
+Seconds are processor time on this machine, of one thread with compiled kernels, the least of up to three runs.
 The paper counts grid 1 as the finest."""
 
 
 def main() -> int:
     """Command line; exit code 1 where a study failed."""
     arguments = _parser().parse_args()
-    known = STUDIES | TIMED | LARGE
+    known = STUDIES | LARGE
     if unknown := sorted(set(arguments.studies) - set(known)):
         raise SystemExit(f"reproduce.py: unknown study {', '.join(unknown)}; there are {', '.join(known)}")
-    names = arguments.studies or [*STUDIES, *TIMED, *(LARGE if arguments.full else [])]
+    names = arguments.studies or [*STUDIES, *(LARGE if arguments.full else [])]
     out = arguments.out / "quick" if arguments.quick else arguments.out
+    if arguments.quick and arguments.record:
+        raise SystemExit("reproduce.py: --record writes numbers of whole runs, not of --quick ones")
     say(f"{len(names)} studies{' on small grids' * arguments.quick}, {arguments.workers} at a time; the first run on a "
         "machine compiles kernels for a minute or two")
     if arguments.fresh:
         for name in names:
             shutil.rmtree(out / name, ignore_errors=True)
     options = ["--quick"] * arguments.quick + ["--full"] * arguments.full + ["--out", str(out)]
-    failed = run_all([name for name in names if name not in TIMED], options, out, arguments.workers)
-    failed |= run_all([name for name in names if name in TIMED], options, out, 1)
+    failed = run_all(sorted(names, key=lambda name: -known[name]), options, out, arguments.workers)
+    if arguments.record:
+        record(out, known)
     print(f"report: {report(names, out, arguments, failed)}")
     return 1 if failed else 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    lines = [f"  {name:24s}{seconds:4d} s  {question(name)}" for name, seconds in (STUDIES | TIMED | LARGE).items()]
+    lines = [f"  {name:24s}{seconds:4d} s  {question(name)}" for name, seconds in (STUDIES | LARGE).items()]
     parser = argparse.ArgumentParser(
         description=__doc__.split("\n")[0], formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="studies, seconds on two cores (the last two with --full or by name):\n" + "\n".join(lines)
+        epilog="studies, processor seconds (the last two with --full or by name):\n" + "\n".join(lines)
                + "\n\nexample: python studies/reproduce.py --quick --out /tmp/report")
-    parser.add_argument("studies", nargs="*", metavar="STUDY", help="some of the studies below (default: all but the last)")
+    parser.add_argument("studies", nargs="*", metavar="STUDY", help="default: all but the last two")
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="smaller grids: a minute on two cores, once kernels are compiled")
+    size.add_argument("--quick", action="store_true", help="smaller grids: about a minute on two cores")
     size.add_argument("--full", action="store_true", help="larger grids and the benchmark: most of an hour")
-    parser.add_argument("--workers", type=int, choices=range(1, 65), default=min(len(os.sched_getaffinity(0)), 8), metavar="N",
+    parser.add_argument("--workers", type=int, choices=range(1, 65), metavar="N",
+                        default=min(len(os.sched_getaffinity(0)), 8),
                         help="studies at a time (default: one a core, here %(default)s)")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
                         help="where report.html, CSV files, figures and stores go (default: results)")
     parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")
+    parser.add_argument("--record", action="store_true", help="write the measured numbers into data/measured")
     return parser
 
 
@@ -106,18 +114,35 @@ def run_one(name: str, options: Sequence[str], out: Path) -> tuple[int, float, s
     begin = time.perf_counter()
     (out / name).mkdir(parents=True, exist_ok=True)
     (out / name / "section.json").unlink(missing_ok=True)
-    log = out / name / "log.txt"
+    log, command = out / name / "log.txt", [sys.executable, str(HERE / f"{name}.py"), *options]
     with log.open("w") as file:
-        code = subprocess.run([sys.executable, str(HERE / f"{name}.py"), *options], stdout=file,
-                              stderr=subprocess.STDOUT, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=False).returncode
+        code = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT, check=False,
+                              env=os.environ | {"OMP_NUM_THREADS": "1"}).returncode
     lines = log.read_text().strip().splitlines() or ["nothing printed"]
     return code, time.perf_counter() - begin, f"{lines[-1]} (see {log})" if code else lines[-1]
 
 
+def record(out: Path, names: Iterable[str]) -> None:
+    """Write the numbers and the tables of the first screen that studies left in ``out`` into data/measured."""
+    from adaptmg.export.report import columns_of
+
+    lines = []
+    MEASURED.mkdir(exist_ok=True)
+    for name in names:
+        file = out / name / "section.json"
+        for item in json.loads(file.read_text())["items"] if file.exists() else []:
+            if item["kind"] == "number":
+                lines.append({"what": item["what"], "measured": item["measured"]})
+            elif item["kind"] == "table" and item["card"]:
+                columns = columns_of(pd.read_csv(out / name / f"{item['name']}.csv"), item["units"], item["formats"])
+                heads = [f"{column.head} [{column.unit}]" if column.unit else column.head for column in columns]
+                frame = pd.DataFrame(dict(zip(heads, (column.texts for column in columns), strict=True)))
+                frame.to_csv(MEASURED / f"{item['name']}.csv", index=False)
+    pd.DataFrame(lines).to_csv(MEASURED / "readme.csv", index=False)
+
+
 def report(names: Sequence[str], out: Path, arguments: argparse.Namespace, failed: set[str]) -> Path:
     """Make the page of what the studies wrote."""
-    import pandas as pd
-
     from adaptmg.export import Report
     from adaptmg.export.report import Picture
 

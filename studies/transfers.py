@@ -13,8 +13,7 @@ import time
 from itertools import pairwise
 
 import numpy as np
-from common import Output, main, warm_up
-from matplotlib import pyplot as plt
+from common import Output, drawing, main, warm_up
 
 import adaptmg as am
 from adaptmg.mesh import graded
@@ -81,12 +80,12 @@ def study(out: Output) -> None:
               units={"build_ms": "ms", "default_work": "WU", "monotone_work": "WU"},
               formats={"build_ms": ".1f", "entries": ".2f", "affine_error": ".0e", "default_cycles": ".0f",
                        "monotone_cycles": ".0f", "default_work": ".0f", "monotone_work": ".0f"})
-    ratios = am.Study(two_grids, {"where": ["everywhere", "at contact"], "ratio": [2, 4] if out.quick else [2, 3, 4, 6]},
-                      out.store, name="ratios").run(throw=True)
+    apart = {"where": ["everywhere", "at contact"], "ratio": [2, 4] if out.quick else [2, 3, 4, 6]}
+    ratios = am.Study(two_grids, apart, out.store, name="ratios").run(throw=True)
     ratios = ratios[["where", "ratio", "coarse_nodes", "nodes", "cycles", "rate", "monotone_cycles", "monotone_rate"]]
     out.table("ratios", ratios, "Two grids: the ratio of their mesh sizes, interpolation, from zero",
               formats={"rate": ".2f", "monotone_rate": ".2f"})
-    figure, ax = plt.subplots(figsize=(6.4, 3.2))
+    figure, ax = drawing()
     for (where, rows), mark in zip(ratios.groupby("where", sort=False), "os", strict=True):
         ax.plot(rows["ratio"], rows["rate"], f"{mark}-", label=f"{where}, default")
         ax.plot(rows["ratio"], rows["monotone_rate"], f"{mark}:", label=f"{where}, monotone")

@@ -289,7 +289,7 @@ class Report:
         self._made: dict[str, str] = {}
 
     def card(self, title: str, text: str = "", *, to: str = "", table: pd.DataFrame | None = None,
-             figure: Figure | None = None, units: Mapping[str, str] | None = None,
+             figure: Figure | Picture | None = None, units: Mapping[str, str] | None = None,
              formats: Mapping[str, str] | None = None) -> None:
         """Add a small table or a picture with a sentence to the first screen, and a link to the section of key ``to``.
 
@@ -299,9 +299,12 @@ class Report:
         _text("title", title, empty=False)
         if table is not None and figure is not None:
             raise ValueError("card takes a table or a figure, not both: make two cards")
-        self._cards.append({"title": title, "text": _text("text", text), "to": _text("to", to),
-                            "table": None if table is None else _table(table, title, units, formats),
-                            "picture": None if figure is None else picture_of(figure, title)})
+        if isinstance(figure, Figure):
+            figure = picture_of(figure, title)
+        elif figure is not None:
+            checks.instance("figure", figure, Picture, "a matplotlib Figure or a Picture")
+        self._cards.append({"title": title, "text": _text("text", text), "to": _text("to", to), "picture": figure,
+                            "table": None if table is None else _table(table, title, units, formats)})
 
     def section(self, title: str, text: str = "", *, summary: str = "", key: str = "") -> None:
         """Begin a section with a summary, which is not folded, and a text.

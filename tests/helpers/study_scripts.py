@@ -1,15 +1,17 @@
-"""Loading the scripts of studies/ as modules."""
+"""Loading the scripts of studies/ and tests/campaigns/ as modules."""
 
 import importlib
 import sys
 from pathlib import Path
 from types import ModuleType
 
-STUDIES = Path(__file__).resolve().parents[2] / "studies"
+ROOT = Path(__file__).resolve().parents[2]
+STUDIES = ROOT / "studies"
 
 
 def load(name: str) -> ModuleType:
-    """The module of a study script, as it is when the script's folder is on the path."""
-    if str(STUDIES) not in sys.path:
-        sys.path.insert(0, str(STUDIES))
+    """The module of a script, as it is when the script's folder is on the path."""
+    for folder in (STUDIES, ROOT / "tests" / "campaigns"):
+        if str(folder) not in sys.path:
+            sys.path.insert(0, str(folder))
     return importlib.import_module(name)

@@ -1,0 +1,147 @@
+"""Random bodies and blocks for the campaigns: obstacles and pairs, 2D and 3D, nested and independent meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import adaptmg as am
+
+SIDE = 40e-3
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A gap that undulates; a class, so that problems can be pickled."""
+
+    amplitude: float
+    waves: float
+    phase: float
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Gaps (n,), m."""
+        angle = 2 * np.pi * self.waves * points / 40e-3
+        height = np.sin(angle[:, 0] + self.phase)
+        if points.shape[1] == 3:
+            height = height * np.cos(angle[:, 1])
+        return self.amplitude * (1 + height)
+
+
+def random_grids(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+    """A random problem on random meshes, and what it is."""
+    rng = np.random.default_rng(seed)
+    dim = 3 if rng.random() < 0.35 else 2
+    friction = float(rng.choice([0.1, 0.3, 0.7, 1.0, 1.5, 2.0]))
+    coulomb = am.Coulomb(friction)
+    law = [coulomb, coulomb, coulomb, am.Tresca(float(10 ** rng.uniform(6.5, 8))), am.Frictionless()][rng.integers(5)]
+    loads = {"top_pressure": float(rng.uniform(1e7, 1e8)), "side_pressure": float(rng.uniform(-1e8, 4e8))}
+    if dim == 2:
+        problem = am.cases.greco_bar(law=law, **loads)
+    else:
+        problem = am.cases.greco_block(law=law, plane_strain=bool(rng.random() < 0.3), **loads)
+    amplitude = float(rng.choice([0, 0, 1e-6, 1e-5, 5e-5]))
+    if amplitude > 0:
+        wave = Wave(amplitude, float(rng.uniform(0.5, 3)), float(rng.uniform(0, 2 * np.pi)))
+        problem = replace(problem, contact=am.Contact("bottom", am.GapFunction(wave)), reference={})
+    if rng.random() < 0.5:
+        shear = am.Traction("top", (*(float(t) for t in rng.uniform(-5e7, 5e7, dim - 1)), 0.0))
+        problem = replace(problem, loads=(*problem.loads, shear), reference={})
+    nested = bool(rng.random() < 2 / 3)
+    floating = bool(rng.random() < 0.15)
+    if floating:
+        # held by contact alone: the side pressure acts on both sides, up to a part that friction can take
+        balance = am.Pressure("right", loads["side_pressure"] - float(rng.uniform(0, 0.05)) * loads["top_pressure"])
+        problem = replace(problem, supports=(), loads=(*problem.loads, balance), reference={})
+    if nested:
+        chains = ([(4, 8, 16, 32), (4, 8, 16, 32, 64), (3, 6, 12, 24, 48)] if dim == 2
+                  else [(2, 4, 8), (2, 4, 8, 16), (3, 6, 12)])
+        hierarchy = am.Hierarchy.uniform(problem, chains[rng.integers(3)])
+    else:
+        sizes = (16e-3, 8e-3, 4e-3, 2e-3) if dim == 2 else (20e-3, 10e-3, 5e-3)
+        hierarchy = am.Hierarchy.graded(problem, sizes, float(rng.choice([1, 2, 4])))
+    what = {"dim": dim, "nested": nested, "floating": floating, "law": type(law).__name__, "friction": friction,
+            "amplitude": amplitude, "nodes": hierarchy.finest.n_nodes, **loads}
+    return what, hierarchy
+
+
+def random_pair(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+    """A random problem of two bodies on random meshes, and what it is."""
+    rng = np.random.default_rng(seed)
+    width = SIDE * float(rng.uniform(1.1, 2))
+    height = SIDE * float(rng.uniform(0.4, 1.2))
+    left = -float(rng.uniform(0.05, 0.9)) * (width - SIDE)
+    parts = {"upper": am.Rectangle(width=SIDE, height=SIDE),
+             "lower": am.Rectangle(width=width, height=height, origin=(left, -height))}
+    friction = float(rng.choice([0.0, 0.1, 0.3, 0.7, 1.0, 1.5]))
+    law = am.Coulomb(friction) if friction else am.Frictionless()
+    if rng.random() < 0.2:
+        law = am.Tresca(float(10 ** rng.uniform(6.5, 8)))
+    young = {name: float(10 ** rng.uniform(10, 11.5)) for name in parts}
+    slave = "upper" if rng.random() < 0.5 else "lower"
+    faces = ("upper.bottom", "lower.top")
+    problem = am.ContactProblem(
+        name="two bodies",
+        domain=am.Assembly(parts=parts),
+        material={name: am.PlaneStrain(young=value, poisson=0.3) for name, value in young.items()},
+        contact=am.ContactPair(*(faces if slave == "upper" else faces[::-1])),
+        law=law,
+        loads=(am.Pressure("upper.top", float(rng.uniform(1e7, 1e8))),
+               am.Pressure("upper.left", float(rng.uniform(-1e8, 2e8)))),
+        supports=(am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0)),
+    )
+    nested = bool(rng.random() < 0.5)
+    ratio = float(rng.uniform(0.7, 1.5))
+    if nested:
+        # cells of the lower body about square, larger or smaller than those of the upper one
+        n = int(rng.integers(3, 6))
+        across, up = (max(1, round(n * length / SIDE * ratio)) for length in (width, height))
+        hierarchy = am.Hierarchy.from_meshes(problem, [am.mesh.merged({
+            "upper": am.mesh.structured(parts["upper"], n * k),
+            "lower": am.mesh.structured(parts["lower"], (across * k, up * k))}) for k in (1, 2, 4, 8)])
+    else:
+        graded = float(rng.uniform(1, 4))
+        sizes = [{"upper": h, "lower": h * ratio} for h in (9e-3, 5.4e-3, 3.2e-3, 1.9e-3)]
+        hierarchy = am.Hierarchy.graded(problem, sizes, graded)
+    other = "lower" if slave == "upper" else "upper"
+    what = {"dim": 2, "nested": nested, "floating": False, "law": type(law).__name__, "friction": friction,
+            "slave": slave, "stiffness": young[slave] / young[other], "nodes": hierarchy.finest.n_nodes}
+    return what, hierarchy
+
+
+def random_problem(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+    """A random problem on random meshes."""
+    rng = np.random.default_rng((seed, 7))
+    kind = ["one body", "one body", "pair", "pair", "pair in 3D"][rng.integers(5)]
+    what, grids = (random_grids(seed) if kind == "one body" else random_pair(seed) if kind == "pair" else
+                   _pair_in_3d(rng))
+    return what | {"kind": kind, "levels": len(grids)}, grids
+
+
+def _pair_in_3d(rng: np.random.Generator) -> tuple[dict[str, Any], am.Hierarchy]:
+    """A block on a wider one, meshes that do not match."""
+    width = SIDE * float(rng.uniform(1.2, 1.8))
+    parts = {"upper": am.Box(width=SIDE, depth=SIDE, height=0.6 * SIDE),
+             "lower": am.Box(width=width, depth=width, height=0.6 * SIDE, origin=(-0.3 * (width - SIDE),
+                                                                                 -0.6 * (width - SIDE), -0.6 * SIDE))}
+    young = {name: float(10 ** rng.uniform(10, 11.5)) for name in parts}
+    friction = float(rng.choice([0.0, 0.1, 0.3, 0.7]))
+    slave = "upper" if rng.random() < 0.5 else "lower"
+    faces = ("upper.bottom", "lower.top")
+    problem = am.ContactProblem(
+        name="two boxes", domain=am.Assembly(parts=parts),
+        contact=am.ContactPair(*faces[::1 if slave == "upper" else -1]),
+        material={name: am.Solid(young=value, poisson=0.3) for name, value in young.items()},
+        law=am.Coulomb(friction) if friction else am.Frictionless(),
+        loads=(am.Pressure("upper.top", float(rng.uniform(1e7, 1e8))),
+               am.Pressure("upper.left", float(rng.uniform(-2e7, 5e7)))),
+        supports=(am.Support("upper.right", x=0.0), am.Support("upper.front", y=0.0),
+                  am.Support("lower.bottom", x=0.0, y=0.0, z=0.0)))
+    cells = int(rng.integers(2, 4))
+    other = max(1, cells + int(rng.integers(-1, 2)))
+    grids = am.Hierarchy.uniform(problem, [{"upper": (cells * k, cells * k, cells * k),
+                                            "lower": (other * k, other * k, other * k)} for k in (1, 2)])
+    opposite = "lower" if slave == "upper" else "upper"
+    return {"dim": 3, "nested": True, "floating": False, "law": type(problem.law).__name__, "friction": friction,
+            "slave": slave, "stiffness": young[slave] / young[opposite], "nodes": grids.finest.n_nodes}, grids

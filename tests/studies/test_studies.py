@@ -1,0 +1,106 @@
+"""The studies run, check themselves and write their section; ``reproduce.py`` makes a page and the recorded numbers.
+
+Studies that are not run here are run by ``reproduce.py --quick`` in CI.
+"""
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+from pages import Page
+from study_scripts import ROOT, STUDIES, load
+
+from adaptmg.cli import main
+
+common, reproduce = load("common"), load("reproduce")
+#: files in studies/ that are no study
+OTHERS = {"common", "reproduce", "linear_rivals", "pictures", "docs"}
+ALL = reproduce.STUDIES | reproduce.LARGE
+
+
+def run(name, folder, *options):
+    """A script in a process of its own."""
+    return subprocess.run([sys.executable, str(STUDIES / f"{name}.py"), "--out", str(folder), *options], text=True,
+                          capture_output=True, env=os.environ | {"MPLBACKEND": "Agg"}, timeout=900, check=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["table_1_grids", "table_2_smoothings", "table_3_full_multigrid", "dovetail",
+                                  "bolted_junction"])
+def test_a_quick_run_meets_its_number_and_writes_its_section(name, tmp_path):
+    ended = run(name, tmp_path, "--quick")
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    section = json.loads((tmp_path / name / "section.json").read_text())
+    kinds = [item["kind"] for item in section["items"]]
+    assert section["title"].endswith("?") and {"table", "figure", "check"} <= set(kinds)
+    for item in section["items"]:
+        if item["kind"] == "table":
+            frame = pd.read_csv(tmp_path / name / f"{item['name']}.csv")
+            assert len(frame) and set(item["units"]) | set(item["formats"]) <= set(frame)
+            assert f"\n{item['caption']}\n" in ended.stdout
+
+
+def test_every_study_is_listed_with_its_question_and_is_short():
+    scripts = {path.stem for path in STUDIES.glob("*.py")} - OTHERS
+    assert scripts == set(ALL)
+    for name in scripts:
+        lines = (STUDIES / f"{name}.py").read_text().splitlines()
+        assert len(lines) <= (80 if name.startswith("table") else 250)
+        assert reproduce.question(name).endswith("?") and f"    python studies/{name}.py [--quick | --full]" in lines[2]
+    described = run("reproduce", "x", "--help").stdout
+    assert all(f"  {name} " in described for name in ALL)
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in STUDIES.glob("*.toml")))
+def test_study_files_name_keys_that_exist(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["study", str(STUDIES / name), "--dry-run"])
+    assert ended.value.code == 0 and "missing" in capsys.readouterr().out
+
+
+def made(folder, value=1.0):
+    """Sections of two studies and none of the others."""
+    for name, card in (("table_1_grids", "Table 1 on the first screen"), ("dovetail", "")):
+        out = common.Output(name, folder)
+        out.table("one", pd.DataFrame({"n": [1, 2], "time": [0.5, value]}), f"caption of {name}", "a note", card=card,
+                  units={"time": "s"}, formats={"time": ".2f"})
+        figure, ax = common.drawing()
+        ax.plot([1, 2], label="a line")
+        out.figure("picture", figure, "A picture.", card=card and "A picture on the first screen")
+        out.number(f"time of {name}", f"{value:g} s")
+        out.check("the value", value, high=2.0)
+        out.close("Does it?\n\n    python studies/x.py\n\nIt may.")
+    return out
+
+
+def test_the_page_is_made_of_what_studies_left_and_says_what_is_missing(tmp_path, capsys):
+    assert not made(tmp_path).failed and made(tmp_path, 3.0).failed == ["the value: 3 (at most 2; NOT MET)"]
+    names = ["table_1_grids", "dovetail", "hertz"]
+    path = reproduce.report(names, tmp_path, argparse.Namespace(quick=True), {"hertz"})
+    page = Page(path.read_text(encoding="utf-8"))
+    assert {"#table_1_grids", "#hertz", "table_1_grids/one.csv"} <= {a["href"] for a in page.all("a")}
+    assert len(page.all("div", "card")) == 2 and len(page.all("img")) == 3 and "3.00" in page.text("td")
+    assert "This study failed" in page.text("p") and "quick run" in page.text("p") and "NOT MET" in page.text("p")
+
+
+def test_recorded_numbers_are_those_of_the_sections(tmp_path, monkeypatch):
+    made(tmp_path, 1.25)
+    monkeypatch.setattr(reproduce, "MEASURED", tmp_path / "measured")
+    reproduce.record(tmp_path, ALL)
+    assert {file.name for file in reproduce.MEASURED.iterdir()} == {"one.csv", "readme.csv"}
+    rows = pd.read_csv(reproduce.MEASURED / "readme.csv", dtype=str)
+    assert rows.to_numpy().tolist() == [[f"time of {name}", "1.25 s"] for name in ("table_1_grids", "dovetail")]
+    assert (reproduce.MEASURED / "one.csv").read_text() == "n,time [s]\n1,0.50\n2,1.25\n"
+
+
+def test_the_readme_has_the_numbers_that_were_recorded():
+    recorded = pd.read_csv(ROOT / "data" / "measured" / "readme.csv", dtype=str).to_numpy().tolist()
+    files = list((ROOT / "data" / "measured").glob("*.csv"))
+    assert 0 < len(recorded) <= 15 and len(files) <= 6 and all(len(pd.read_csv(file)) <= 15 for file in files)
+    table = re.search(r"\| what +\| measured +\|\n\|[-|: ]+\n((?:\|.*\n)+)", (ROOT / "README.md").read_text())
+    assert [[cell.strip() for cell in line.strip("|").split("|")] for line in table[1].splitlines()] == recorded
