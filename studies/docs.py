@@ -9,13 +9,37 @@ tables in data/measured (written by studies). Needs the packages of ``pip instal
 from __future__ import annotations
 
 import argparse
+import inspect
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import pandas as pd
+
+import adaptmg as am
+
 ROOT = Path(__file__).resolve().parent.parent
+LAWS = ("Frictionless", "Tresca", "Coulomb", "problem.Law")
+DOMAINS = ("Rectangle", "Circle", "Polygon", "Outline", "Box", "Ball", "Cylinder", "Extrusion", "Revolution", "StepFile",
+           "Cut", "Fuse", "Common", "Moved", "Assembly", "problem.Domain")
+#: pages of the reference: title, first sentence, modules whose names they show
+TASKS = {
+    "pose": ("Pose a problem", "Bodies, materials, contact, supports and loads; lengths in m, pressures in Pa.", ("problem",)),
+    "domains": ("Domains", "Shapes of bodies, and how they are combined.", ()),
+    "laws": ("Friction laws", "What bounds the tangential traction.", ()),
+    "grids": ("Grids", "Hierarchies, coarsest level first, and the meshes that they are made of.", ("hierarchy", "mesh")),
+    "transfers": ("Transfers", "Prolongations between meshes, nested or not.", ("transfer",)),
+    "solve": ("Solve", "Methods, their parts, and results. Bare matrices are posed here, too.",
+              ("solver", "multigrid", "smoother", "discrete")),
+    "adapt": ("Adapt", "The adaptive loop: indicators, goals, marks and engines.", ("estimate",)),
+    "study": ("Study", "A function and a design, to a durable store, to a table.", ("study",)),
+    "plot": ("Plot", "Pictures; every function returns a matplotlib figure.", ("plot",)),
+    "export": ("Export", "Files for ParaView and PETSc, HTML reports.", ("export",)),
+    "cases": ("Cases", "Ready problems; their reference values are on :doc:`/cases`.", ("cases",)),
+}
 
 
 def main() -> int:
@@ -26,14 +50,83 @@ def main() -> int:
     out = parser.parse_args().out.resolve()
     shutil.rmtree(out, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "source"
-        shutil.copytree(ROOT / "studies" / "docs", source)
-        shutil.copytree(ROOT / "studies" / "tutorials", source / "tutorials")
+        source = write_sources(Path(folder) / "source")
         code = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-b", "html",
                                "-d", str(Path(folder) / "doctrees"), str(source), str(out)], check=False).returncode
     if not code:
         print(f"documentation: {out / 'index.html'}")
     return 1 if code else 0
+
+
+def write_sources(source: Path) -> Path:
+    """Copy pages, tutorials and the picture, and write the pages that are made of the package and of measured tables."""
+    shutil.copytree(ROOT / "studies" / "docs", source)
+    shutil.copytree(ROOT / "studies" / "tutorials", source / "tutorials", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "data" / "pictures" / "overview.png", source)
+    write_reference(source / "api")
+    (source / "cases.rst").write_text(cases_page(), encoding="utf-8")
+    (source / "measured.rst").write_text(measured_page(ROOT / "data" / "measured"), encoding="utf-8")
+    return source
+
+
+def public_names() -> dict[str, list[str]]:
+    """Every public name, by the page of the reference that shows it."""
+    pages: dict[str, list[str]] = {task: [] for task in TASKS}
+    task_of = {module: task for task, (_, _, modules) in TASKS.items() for module in modules}
+    every = [(home.split(".")[1], name) for name, home in sorted(am._HOME.items())]
+    every += [(module, f"{module}.{name}") for module in am._SUBMODULES for name in getattr(getattr(am, module), "__all__", ())
+              if name not in am._HOME]
+    for module, name in every:
+        pages["laws" if name in LAWS else "domains" if name in DOMAINS else task_of[module]].append(name)
+    return pages
+
+
+def write_reference(folder: Path) -> None:
+    """Write the pages of the reference, by task."""
+    folder.mkdir()
+    index = _title("API by task") + "\nEvery public name, with an example. ``import adaptmg as am`` first.\n\n.. toctree::\n\n"
+    for task, names in public_names().items():
+        title, sentence, _ = TASKS[task]
+        index += f"   {task}\n"
+        page = _title(title) + f"\n{sentence}\n\n.. currentmodule:: adaptmg\n\n.. autosummary::\n   :toctree: names\n   :nosignatures:\n\n"
+        (folder / f"{task}.rst").write_text(page + "".join(f"   {name}\n" for name in names), encoding="utf-8")
+    (folder / "index.rst").write_text(index, encoding="utf-8")
+
+
+def cases_page() -> str:
+    """A table of the cases with reference values, and their sources."""
+    page = _title("Cases") + "\nProblems with defaults for all arguments; values that depend on arguments are those of the defaults. In SI units.\n"
+    for name, case in am.cases.CASES.items():
+        problem = case.function()
+        page += f"\n{name}\n{'-' * len(name)}\n\n{case.description[0].upper() + case.description[1:]}: :func:`adaptmg.cases.{name}`.\n"
+        rows = [[str(key), str(value)] for key, value in dict(getattr(problem, "reference", {}) or {}).items()]
+        page += _table(["reference", "value"], rows) if rows else ""
+    return page
+
+
+def measured_page(folder: Path) -> str:
+    """The tables that studies have written into data/measured."""
+    page = _title("Measured") + ("\nTables written by the studies: ``python studies/reproduce.py --full`` computes them "
+                                 "again. Lines above a table come from the study.\n")
+    for file in sorted(folder.glob("*.csv")):
+        lines = file.read_text(encoding="utf-8").splitlines()
+        notes = [line.lstrip("# ") for line in lines if line.startswith("#")]
+        frame = pd.read_csv(file, comment="#", dtype=str, keep_default_na=False)
+        title = file.stem.replace("_", " ").capitalize()
+        page += f"\n{title}\n{'-' * len(title)}\n\n" + "\n".join(notes) + "\n" + _table(list(frame.columns), frame.to_numpy().tolist())
+    return page
+
+
+def _title(text: str) -> str:
+    return f"{text}\n{'=' * len(text)}\n"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A list-table of reStructuredText."""
+    text = "\n.. list-table::\n   :header-rows: 1\n\n"
+    for row in (head, *rows):
+        text += "".join(f"   {'*' if column == 0 else ' '} - {cell}\n" for column, cell in enumerate(row))
+    return text
 
 
 if __name__ == "__main__":
