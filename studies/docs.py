@@ -1,6 +1,7 @@
 """Build the documentation: HTML pages that open offline, search and formulas included.
 
     python studies/docs.py [--out DIR]
+    python studies/docs.py --readme        only write the measured numbers of data/measured/readme.csv into README.md
 
 Sources: docstrings of adaptmg, pages in studies/docs, tutorials in studies/tutorials (scripts, run while building),
 tables in data/measured (written by studies). Needs the packages of ``pip install -e ".[docs]"``.
@@ -9,12 +10,11 @@ tables in data/measured (written by studies). Needs the packages of ``pip instal
 from __future__ import annotations
 
 import argparse
-import inspect
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -47,7 +47,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
                                      epilog="example: python studies/docs.py --out /tmp/docs")
     parser.add_argument("--out", type=Path, default=Path("results/docs"), metavar="DIR", help="default: results/docs")
-    out = parser.parse_args().out.resolve()
+    parser.add_argument("--readme", action="store_true", help="only write the measured numbers into README.md")
+    arguments = parser.parse_args()
+    if arguments.readme:
+        write_readme()
+        return 0
+    out = arguments.out.resolve()
     shutil.rmtree(out, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
         source = write_sources(Path(folder) / "source")
@@ -61,7 +66,7 @@ def main() -> int:
 def write_sources(source: Path) -> Path:
     """Copy pages, tutorials and the picture, and write the pages that are made of the package and of measured tables."""
     shutil.copytree(ROOT / "studies" / "docs", source)
-    shutil.copytree(ROOT / "studies" / "tutorials", source / "tutorials", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "studies" / "tutorials", source / "scripts", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "data" / "pictures" / "overview.png", source)
     write_reference(source / "api")
     (source / "cases.rst").write_text(cases_page(), encoding="utf-8")
@@ -94,14 +99,30 @@ def write_reference(folder: Path) -> None:
 
 
 def cases_page() -> str:
-    """A table of the cases with reference values, and their sources."""
-    page = _title("Cases") + "\nProblems with defaults for all arguments; values that depend on arguments are those of the defaults. In SI units.\n"
-    for name, case in am.cases.CASES.items():
-        problem = case.function()
-        page += f"\n{name}\n{'-' * len(name)}\n\n{case.description[0].upper() + case.description[1:]}: :func:`adaptmg.cases.{name}`.\n"
-        rows = [[str(key), str(value)] for key, value in dict(getattr(problem, "reference", {}) or {}).items()]
-        page += _table(["reference", "value"], rows) if rows else ""
+    """A table of the cases, and their reference values with sources."""
+    page = _title("Cases") + ("\nProblems with defaults for all arguments; the values are those of the defaults, in SI units. "
+                              "``am.cases.NAME().reference`` holds them.\n")
+    cases = {name: (case.description, case.function()) for name, case in am.cases.CASES.items()}
+    page += _table(["case", "what it is"], [[f":func:`~adaptmg.cases.{name}`", text] for name, (text, _) in cases.items()])
+    for name, (_, problem) in cases.items():
+        rows = [[f"``{key}``", text] for key, text in _flat(problem.reference)]
+        page += f"\n{name}\n{'-' * len(name)}\n" + _table(["reference", "value"], rows) if rows else ""
     return page
+
+
+def _flat(reference: Mapping[str, object], before: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of a nested mapping; closed forms by their class."""
+    for key, value in reference.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{key}: ")
+        elif isinstance(value, str):
+            yield before + key, value.replace("|", r"\|").replace("*", r"\*")
+        elif isinstance(value, (bool, int, float)):
+            yield before + key, str(value) if isinstance(value, (bool, int)) else f"{value:.7g}"
+        elif isinstance(value, tuple):
+            yield before + key, ", ".join(map(str, value))
+        else:
+            yield before + key, f":class:`~adaptmg.cases.{type(value).__name__}`"
 
 
 def measured_page(folder: Path) -> str:
@@ -115,6 +136,16 @@ def measured_page(folder: Path) -> str:
         title = file.stem.replace("_", " ").capitalize()
         page += f"\n{title}\n{'-' * len(title)}\n\n" + "\n".join(notes) + "\n" + _table(list(frame.columns), frame.to_numpy().tolist())
     return page
+
+
+def write_readme() -> None:
+    """Put the table of data/measured/readme.csv below its mark in README.md."""
+    readme, mark = ROOT / "README.md", "<!-- data/measured/readme.csv -->\n"
+    frame = pd.read_csv(ROOT / "data" / "measured" / "readme.csv", dtype=str, keep_default_na=False)
+    before, _, after = readme.read_text(encoding="utf-8").partition(mark)
+    rows = [frame.columns, ["---"] * frame.shape[1], *frame.to_numpy()]
+    table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
+    readme.write_text(before + mark + "\n" + table + "\n" + after[after.index("## "):], encoding="utf-8")
 
 
 def _title(text: str) -> str:

@@ -1,6 +1,7 @@
 """Settings of Sphinx; ``python studies/docs.py`` builds."""
 
 import importlib
+import sys
 from importlib.metadata import distribution
 
 import matplotlib
@@ -12,7 +13,7 @@ matplotlib.use("Agg")
 project, author, version = "adaptmg", "adaptmg contributors", am.__version__
 release, project_copyright = version, "adaptmg contributors, MIT licence"
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc", "sphinx_gallery.gen_gallery"]
-exclude_patterns = ["tutorials/*", "measured"]
+exclude_patterns = ["scripts/*"]
 templates_path = ["_templates"]
 default_role = "literal"
 nitpicky = True
@@ -32,43 +33,43 @@ html_copy_source = False
 html_theme_options = {"light_css_variables": {"font-stack": "system-ui, sans-serif"}}
 
 sphinx_gallery_conf = {
-    "examples_dirs": "tutorials", "gallery_dirs": "learn", "filename_pattern": r"\.py$",
-    "within_subsection_order": "FileNameSortKey", "abort_on_example_error": True, "capture_repr": ("_repr_html_", "__repr__"),
+    "examples_dirs": "scripts", "gallery_dirs": "tutorials", "filename_pattern": r"\.py$",
+    "within_subsection_order": "FileNameSortKey", "abort_on_example_error": True, "capture_repr": ("_repr_html_",),
     "image_srcset": ["2x"], "write_computation_times": False, "show_memory": False, "download_all_examples": False,
     "remove_config_comments": True, "plot_gallery": True,
 }
 
-_names = {}
-
-
-def _index(environment):
-    """Names of documented objects, also under the module that defines them."""
-    for name, entry in environment.get_domain("py").objects.items():
-        module, _, last = name.rpartition(".")
-        try:
-            home = getattr(getattr(importlib.import_module(module), last), "__module__", None)
-        except (ImportError, AttributeError):
-            continue
-        _names[f"{home}.{last}"] = (name, entry)
+_pages = {}
 
 
 def _resolve(app, environment, node, content):
-    """A reference to the module that defines a public name leads to the page of its public name."""
-    if not _names:
-        _index(environment)
+    """Lead a reference to the page of the public name; a name inside the package that has no page stays text."""
+    objects = environment.get_domain("py").objects
+    if not _pages:
+        for name in objects:
+            _pages.setdefault(name.rpartition(".")[2], name)
     target = node.get("reftarget", "")
-    found = _names.get(target)
-    attribute = ""
-    if found is None:
-        target, _, attribute = target.rpartition(".")
-        found = _names.get(target)
-    if found is None:
-        return None
-    name, entry = found
-    anchor = f"{name}.{attribute}" if attribute else name
-    if attribute and anchor not in environment.get_domain("py").objects:
-        anchor = name
-    return make_refnode(app.builder, node["refdoc"], entry.docname, anchor, content, name)
+    parts = target.split(".")
+    for length in (1, 2):                                    # a name, or an attribute of a name
+        name = _pages.get(parts[-length]) if length <= len(parts) else None
+        if name and (length == 1 or name[len("adaptmg."):][0].isupper()):
+            return make_refnode(app.builder, node["refdoc"], objects[name].docname, objects[name].node_id, content, name)
+    return content if _exists(parts) else None
+
+
+def _exists(parts):
+    """Whether a dotted name, or a bare one in some module, belongs to the package."""
+    if len(parts) == 1 or parts[0] != "adaptmg":
+        return any(hasattr(module, parts[0]) for name, module in list(sys.modules.items()) if name.startswith("adaptmg."))
+    value = importlib.import_module("adaptmg")
+    for length in range(2, len(parts) + 1):
+        try:
+            value = importlib.import_module(".".join(parts[:length]))
+        except ImportError:
+            value = getattr(value, parts[length - 1], None)
+            if value is None:
+                return False
+    return True
 
 
 def setup(app):
