@@ -1,6 +1,6 @@
 """
-A problem of your own: a plate with a hole
-==========================================
+Your own problem: a plate with a hole
+=====================================
 
 A problem is a domain, a material, contact, a friction law, loads and supports. Boundaries have names: those of a
 rectangle are bottom, right, top and left; the circle names its edge.
@@ -11,7 +11,7 @@ import adaptmg as am
 plate = am.Cut(am.Rectangle(width=80e-3, height=60e-3), am.Circle((40e-3, 30e-3), 12e-3, "hole"))
 problem = am.ContactProblem(
     name="plate with a hole", domain=plate, material=am.PlaneStrain(young=2.1e11, poisson=0.3),
-    contact=am.Contact("bottom", am.Plane()),                         # a rigid plane below
+    contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))),           # a rigid plane below
     law=am.Coulomb(0.3), loads=(am.Pressure("top", 4e7),),
     supports=(am.Support("left", x=0.0),))                            # held in x, free in y
 figure = am.plot.problem(problem)

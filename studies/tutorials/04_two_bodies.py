@@ -33,5 +33,5 @@ print(result.resultant("bar.bottom").force + result.resultant("block.top").force
 figure = am.plot.deformation(result, amplify=100, stress=True)
 
 # %%
-# **Next:** the cases ``dovetail`` and ``bolted_junction``; three bodies in a chain. **It depends on** a problem of your
-# own; the theory is on :doc:`/theory/mortar`.
+# **Next:** the cases ``dovetail`` and ``bolted_junction``; three bodies in a chain. **It depends on** your own
+# problem; the theory is on :doc:`/theory/mortar`.

@@ -1,6 +1,6 @@
 """
-A transfer, a smoother and an indicator of your own
-===================================================
+Your own transfer, smoother and indicator
+=========================================
 
 A part is an object with the right method; :doc:`/howto/own_parts` lists them.
 """
