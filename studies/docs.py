@@ -1,6 +1,7 @@
 """Build the documentation: HTML pages that open offline, search and formulas included.
 
     python studies/docs.py [--out DIR]
+    python studies/docs.py --readme        only write the measured numbers of data/measured/readme.csv into README.md
 
 Sources: docstrings of adaptmg, pages in studies/docs, tutorials in studies/tutorials (scripts, run while building),
 tables in data/measured (written by studies). Needs the packages of ``pip install -e ".[docs]"``.
@@ -13,9 +14,32 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+import pandas as pd
+
+import adaptmg as am
+
 ROOT = Path(__file__).resolve().parent.parent
+LAWS = ("Frictionless", "Tresca", "Coulomb", "problem.Law")
+DOMAINS = ("Rectangle", "Circle", "Polygon", "Outline", "Box", "Ball", "Cylinder", "Extrusion", "Revolution", "StepFile",
+           "Cut", "Fuse", "Common", "Moved", "Assembly", "problem.Domain")
+#: pages of the reference: title, first sentence, modules whose names they show
+TASKS = {
+    "pose": ("Pose a problem", "Bodies, materials, contact, supports and loads; lengths in m, pressures in Pa.", ("problem",)),
+    "domains": ("Domains", "Shapes of bodies, and how they are combined.", ()),
+    "laws": ("Friction laws", "What bounds the tangential traction.", ()),
+    "grids": ("Grids", "Hierarchies, coarsest level first, and the meshes that they are made of.", ("hierarchy", "mesh")),
+    "transfers": ("Transfers", "Prolongations between meshes, nested or not.", ("transfer",)),
+    "solve": ("Solve", "Methods, their parts, and results. Bare matrices are posed here, too.",
+              ("solver", "multigrid", "smoother", "discrete")),
+    "adapt": ("Adapt", "The adaptive loop: indicators, goals, marks and engines.", ("estimate",)),
+    "study": ("Study", "A function and a design, to a durable store, to a table.", ("study",)),
+    "plot": ("Plot", "Pictures; every function returns a matplotlib figure.", ("plot",)),
+    "export": ("Export", "Files for ParaView and PETSc, HTML reports.", ("export",)),
+    "cases": ("Cases", "Ready problems; their reference values are on :doc:`/cases`.", ("cases",)),
+}
 
 
 def main() -> int:
@@ -23,17 +47,117 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
                                      epilog="example: python studies/docs.py --out /tmp/docs")
     parser.add_argument("--out", type=Path, default=Path("results/docs"), metavar="DIR", help="default: results/docs")
-    out = parser.parse_args().out.resolve()
+    parser.add_argument("--readme", action="store_true", help="only write the measured numbers into README.md")
+    arguments = parser.parse_args()
+    if arguments.readme:
+        write_readme()
+        return 0
+    out = arguments.out.resolve()
     shutil.rmtree(out, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "source"
-        shutil.copytree(ROOT / "studies" / "docs", source)
-        shutil.copytree(ROOT / "studies" / "tutorials", source / "tutorials")
+        source = write_sources(Path(folder) / "source")
         code = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-b", "html",
                                "-d", str(Path(folder) / "doctrees"), str(source), str(out)], check=False).returncode
     if not code:
         print(f"documentation: {out / 'index.html'}")
     return 1 if code else 0
+
+
+def write_sources(source: Path) -> Path:
+    """Copy pages, tutorials and the picture, and write the pages that are made of the package and of measured tables."""
+    shutil.copytree(ROOT / "studies" / "docs", source)
+    shutil.copytree(ROOT / "studies" / "tutorials", source / "scripts", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "data" / "pictures" / "overview.png", source)
+    write_reference(source / "api")
+    (source / "cases.rst").write_text(cases_page(), encoding="utf-8")
+    (source / "measured.rst").write_text(measured_page(ROOT / "data" / "measured"), encoding="utf-8")
+    return source
+
+
+def public_names() -> dict[str, list[str]]:
+    """Every public name, by the page of the reference that shows it."""
+    pages: dict[str, list[str]] = {task: [] for task in TASKS}
+    task_of = {module: task for task, (_, _, modules) in TASKS.items() for module in modules}
+    every = [(home.split(".")[1], name) for name, home in sorted(am._HOME.items())]
+    every += [(module, f"{module}.{name}") for module in am._SUBMODULES for name in getattr(getattr(am, module), "__all__", ())
+              if name not in am._HOME]
+    for module, name in every:
+        pages["laws" if name in LAWS else "domains" if name in DOMAINS else task_of[module]].append(name)
+    return pages
+
+
+def write_reference(folder: Path) -> None:
+    """Write the pages of the reference, by task."""
+    folder.mkdir()
+    index = _title("API by task") + "\nEvery public name, with an example. ``import adaptmg as am`` first.\n\n.. toctree::\n\n"
+    for task, names in public_names().items():
+        title, sentence, _ = TASKS[task]
+        index += f"   {task}\n"
+        page = _title(title) + f"\n{sentence}\n\n.. currentmodule:: adaptmg\n\n.. autosummary::\n   :toctree: names\n   :nosignatures:\n\n"
+        (folder / f"{task}.rst").write_text(page + "".join(f"   {name}\n" for name in names), encoding="utf-8")
+    (folder / "index.rst").write_text(index, encoding="utf-8")
+
+
+def cases_page() -> str:
+    """A table of the cases, and their reference values with sources."""
+    page = _title("Cases") + ("\nProblems with defaults for all arguments; the values are those of the defaults, in SI units. "
+                              "``am.cases.NAME().reference`` holds them.\n")
+    cases = {name: (case.description, case.function()) for name, case in am.cases.CASES.items()}
+    page += _table(["case", "what it is"], [[f":func:`~adaptmg.cases.{name}`", text] for name, (text, _) in cases.items()])
+    for name, (_, problem) in cases.items():
+        rows = [[f"``{key}``", text] for key, text in _flat(problem.reference)]
+        page += f"\n{name}\n{'-' * len(name)}\n" + _table(["reference", "value"], rows) if rows else ""
+    return page
+
+
+def _flat(reference: Mapping[str, object], before: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of a nested mapping; closed forms by their class."""
+    for key, value in reference.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{key}: ")
+        elif isinstance(value, str):
+            yield before + key, value.replace("|", r"\|").replace("*", r"\*")
+        elif isinstance(value, (bool, int, float)):
+            yield before + key, str(value) if isinstance(value, (bool, int)) else f"{value:.7g}"
+        elif isinstance(value, tuple):
+            yield before + key, ", ".join(map(str, value))
+        else:
+            yield before + key, f":class:`~adaptmg.cases.{type(value).__name__}`"
+
+
+def measured_page(folder: Path) -> str:
+    """The tables that studies have written into data/measured."""
+    page = _title("Measured") + ("\nTables written by the studies: ``python studies/reproduce.py --full`` computes them "
+                                 "again. Lines above a table come from the study.\n")
+    for file in sorted(folder.glob("*.csv")):
+        lines = file.read_text(encoding="utf-8").splitlines()
+        notes = [line.lstrip("# ") for line in lines if line.startswith("#")]
+        frame = pd.read_csv(file, comment="#", dtype=str, keep_default_na=False)
+        title = file.stem.replace("_", " ").capitalize()
+        page += f"\n{title}\n{'-' * len(title)}\n\n" + "\n".join(notes) + "\n" + _table(list(frame.columns), frame.to_numpy().tolist())
+    return page
+
+
+def write_readme() -> None:
+    """Put the table of data/measured/readme.csv below its mark in README.md."""
+    readme, mark = ROOT / "README.md", "<!-- data/measured/readme.csv -->\n"
+    frame = pd.read_csv(ROOT / "data" / "measured" / "readme.csv", dtype=str, keep_default_na=False)
+    before, _, after = readme.read_text(encoding="utf-8").partition(mark)
+    rows = [frame.columns, ["---"] * frame.shape[1], *frame.to_numpy()]
+    table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
+    readme.write_text(before + mark + "\n" + table + "\n" + after[after.index("## "):], encoding="utf-8")
+
+
+def _title(text: str) -> str:
+    return f"{text}\n{'=' * len(text)}\n"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A list-table of reStructuredText."""
+    text = "\n.. list-table::\n   :header-rows: 1\n\n"
+    for row in (head, *rows):
+        text += "".join(f"   {'*' if column == 0 else ' '} - {cell}\n" for column, cell in enumerate(row))
+    return text
 
 
 if __name__ == "__main__":

@@ -85,7 +85,7 @@ class Frictionless:
 
 @dataclass(frozen=True, eq=False)
 class Tresca:
-    """Tresca friction: |f_t| <= limit, independent of the pressure.
+    """Tresca friction: ``|f_t| <= limit``, independent of the pressure.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Tresca:
 
 @dataclass(frozen=True, eq=False)
 class Coulomb:
-    """Coulomb friction: |f_t| <= friction * p.
+    """Coulomb friction: ``|f_t| <= friction * p``.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class Direct:
     True
     """
 
-    #: |K^-1 D| beyond this, D the diagonal of K, means singular
+    #: ``|K^-1 D|`` beyond this, D the diagonal of K, means singular
     SINGULAR = 1e13
 
     def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,

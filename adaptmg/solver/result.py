@@ -52,8 +52,8 @@ class Result:
     work_units : float
         Passes over matrices, weighted by their nonzeros over those of the finest.
     residual : float
-        Natural residual |D (prox_D(u - D^-1 (A u - b)) - u)|, over the largest Euclidean norm of loads, contact forces
-        and (with prescribed displacements) reactions.
+        Natural residual ``|D (prox_D(u - D^-1 (A u - b)) - u)|``, over the largest Euclidean norm of loads, contact
+        forces and (with prescribed displacements) reactions.
     error_estimate : float
         Estimated ||u - u_h||_A / ||u_h||_A against the exact discrete solution: the larger of what the solver and the
         certificate find.

@@ -107,7 +107,7 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     0 unless all slips u_t - u_t^previous (n_fine_contact, dim - 1) in S_k have one sign (3D: one direction) and none is
     zero or in ``stick`` (n_fine_contact,), else the shortest; 0 where S_k is empty. In 3D slips within ``angle`` (rad,
     below pi/2) of the shortest count as parallel to it; the guarantee then holds up to
-    angle * sum_i g_i sum_k P_ik |E_k|.
+    angle * ``sum_i g_i sum_k P_ik |E_k|``.
     """
     if not 0 <= checks.number("angle", angle) < np.pi / 2:
         raise ValueError(f"angle must be >= 0 and below pi/2, got {angle!r}")

@@ -1,0 +1,88 @@
+"""Settings of Sphinx; ``python studies/docs.py`` builds."""
+
+import importlib
+import sys
+from importlib.metadata import distribution
+
+import matplotlib
+from sphinx.util.nodes import make_refnode
+
+import adaptmg as am
+
+matplotlib.use("Agg")
+project, author, version = "adaptmg", "adaptmg contributors", am.__version__
+release, project_copyright = version, "adaptmg contributors, MIT licence"
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc", "sphinx_gallery.gen_gallery"]
+exclude_patterns = ["scripts/*"]
+templates_path = ["_templates"]
+default_role = "literal"
+nitpicky = True
+math_numfig = True
+autosummary_generate = True
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+mathjax_path = "mathjax/tex-chtml.js"
+
+html_theme = "furo"
+html_title = f"adaptmg {version}"
+html_static_path = ["_static"]
+html_css_files = ["docs.css"]
+html_show_search_summary = False
+html_copy_source = False
+html_theme_options = {"light_css_variables": {"font-stack": "system-ui, sans-serif"}}
+
+sphinx_gallery_conf = {
+    "examples_dirs": "scripts", "gallery_dirs": "tutorials", "filename_pattern": r"\.py$",
+    "within_subsection_order": "FileNameSortKey", "abort_on_example_error": True, "capture_repr": ("_repr_html_",),
+    "image_srcset": ["2x"], "write_computation_times": False, "show_memory": False, "download_all_examples": False,
+    "remove_config_comments": True, "plot_gallery": True,
+}
+
+_pages = {}
+
+
+def _resolve(app, environment, node, content):
+    """Lead a reference to the page of the public name; a name inside the package that has no page stays text."""
+    objects = environment.get_domain("py").objects
+    if not _pages:
+        for name in objects:
+            _pages.setdefault(name.rpartition(".")[2], name)
+    target = node.get("reftarget", "")
+    parts = target.split(".")
+    for length in (1, 2):                                    # a name, or an attribute of a name
+        name = _pages.get(parts[-length]) if length <= len(parts) else None
+        if name and (length == 1 or name[len("adaptmg."):][0].isupper()):
+            return make_refnode(app.builder, node["refdoc"], objects[name].docname, objects[name].node_id, content, name)
+    return content if _exists(parts) else None
+
+
+def _exists(parts):
+    """Whether a dotted name, or a bare one in some module, belongs to the package."""
+    if len(parts) == 1 or parts[0] != "adaptmg":
+        return any(hasattr(module, parts[0]) for name, module in list(sys.modules.items()) if name.startswith("adaptmg."))
+    value = importlib.import_module("adaptmg")
+    for length in range(2, len(parts) + 1):
+        try:
+            value = importlib.import_module(".".join(parts[:length]))
+        except ImportError:
+            value = getattr(value, parts[length - 1], None)
+            if value is None:
+                return False
+    return True
+
+
+def setup(app):
+    """Copy MathJax, and connect the references."""
+    app.connect("missing-reference", _resolve)
+    root = distribution("sphinx-mathjax-offline").locate_file("sphinx-mathjax-offline/static/mathjax")
+
+    def mathjax(app, error):
+        from sphinx.util.fileutil import copy_asset
+        if error is None:
+            target = app.outdir / "_static" / "mathjax"
+            target.mkdir(parents=True, exist_ok=True)
+            copy_asset(root / "tex-chtml.js", target)
+            copy_asset(root / "output/chtml/fonts/woff-v2", target / "output/chtml/fonts/woff-v2")
+
+    app.connect("build-finished", mathjax)
