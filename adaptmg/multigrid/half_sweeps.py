@@ -189,7 +189,7 @@ def add_prolonged(zero, indptr, indices, weights, coarse, u):
 @kernel
 def combine(zero, indptr, indices, weights, coarse, ring, places, alpha, to):
     """u + sum of alpha_k (u_k - u) + P coarse, u and four u_k at ``places`` of ``ring``, written to place ``to``."""
-    now, first, second, third, fourth = places
+    now, first, second, third, fourth = places.astype(np.uint64)
     for node in range(len(indptr) - 1):
         i = np.uint64(node)
         at = np.uint64(len(zero)) * i
@@ -198,4 +198,4 @@ def combine(zero, indptr, indices, weights, coarse, ring, places, alpha, to):
         e = add(e, scale(alpha[1], subtract(read(ring, second + at, zero), u)))
         e = add(e, scale(alpha[2], subtract(read(ring, third + at, zero), u)))
         e = add(u, add(e, scale(alpha[3], subtract(read(ring, fourth + at, zero), u))))
-        write(ring, to + at, _plus_prolonged(i, indptr, indices, weights, coarse, e))
+        write(ring, np.uint64(to) + at, _plus_prolonged(i, indptr, indices, weights, coarse, e))
