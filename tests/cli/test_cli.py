@@ -1,7 +1,5 @@
 """The command, ``solve`` and ``adapt``: what they print where, what they write, how they end."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """Study files that are wrong: each gives one line that names file, line and what to write, before anything runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

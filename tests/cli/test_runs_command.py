@@ -1,7 +1,5 @@
 """``adaptmg runs`` and ``adaptmg report``: what is read, conditions, files, pages, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

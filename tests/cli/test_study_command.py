@@ -1,7 +1,5 @@
 """``adaptmg study``: files that are run, options, exit codes, JSON, what is measured, what a user can read of it."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

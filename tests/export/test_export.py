@@ -1,7 +1,5 @@
 """VTK files hold the result exactly, and a series lists its steps."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re

@@ -1,7 +1,5 @@
 """Files for PETSc, read back byte by byte by an independent reader, pose the same problem."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

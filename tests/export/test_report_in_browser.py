@@ -1,7 +1,5 @@
 """Reports in a browser: the first screen has the answers, nothing runs over, tables sort and fold, paper has all."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Runs the rows of a table named on the command line, a JSON line each: python child.py TABLE [ROW ...]."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

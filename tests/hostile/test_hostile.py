@@ -1,7 +1,5 @@
 """Every row of every table is refused with an error that names what is wrong; none crashes, hangs or writes."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Every public object describes itself in 400 characters, without arrays; tables name their units."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from functools import cache
