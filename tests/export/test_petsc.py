@@ -128,16 +128,6 @@ def test_the_contact_solution_satisfies_the_conditions_in_the_files(tmp_path):
     assert manifest["contact_boundaries"]
 
 
-def test_coarse_spaces_without_a_problem(tmp_path, bar):
-    algebraic = am.Hierarchy.algebraic(bar.finest.discrete, max_coarse=20)
-    files, _ = exported(tmp_path, algebraic)
-    assert len(algebraic) > 1 and "level0_load" not in files
-    for k, level in enumerate(algebraic.levels):
-        np.testing.assert_array_equal(files[f"level{k}_matrix"].toarray(), level.matrix.toarray())
-        if k:
-            assert files[f"level{k}_prolongation"].shape == (level.matrix.shape[0], algebraic[k - 1].matrix.shape[0])
-
-
 def test_a_bare_problem_is_one_level_and_its_name_is_written_unchanged(tmp_path, bar):
     odd = dataclasses.replace(bar[0].discrete, name="a{b}%s ü")
     files, manifest = exported(tmp_path, odd)
