@@ -105,7 +105,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     """
     check_domain(domain)
     domain = in_edges(domain)
-    names = (contact_boundaries,) if isinstance(contact_boundaries, str) else tuple(contact_boundaries)
+    names = checks.items("contact_boundaries", contact_boundaries, str, "names of boundaries")
     if isinstance(domain, StepFile):
         return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), growth(grading))
     for name in names:

@@ -1,7 +1,5 @@
 """``adaptmg runs`` and ``adaptmg report``: what is read, conditions, files, pages, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -68,12 +66,10 @@ def test_a_table_does_not_load_a_solver(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("given", "found"), [
-    (["b=4"], [4]), (["b=4.0"], [4]), (["b=4e0"], [4]), (["m=1"], [4]), (["m=.5"], [2]), (["b<3", "b>0"], [1, 2]),
-    (["b<=2", "b>=2"], [2]), (["even=true", "b<6"], [2, 4]), (["even=True", "b<6"], [2, 4]), (["even=1"], []),
+    (["b=4"], [4]), (["m=1"], [4]), (["b<3", "b>0"], [1, 2]), (["b<=2", "b>=2"], [2]), (["even=true", "b<6"], [2, 4]),
     (["same=x,y", "b=3"], [3]), (["pair=[1, 2]", "b=3"], [3]), (["status=failed", "b<20"], [0, 10]),
-    (["nothing=null", "b<3"], [1, 2]), (["nan=nan", "b<3"], [1, 2]), (["nan<1"], []), (["b!=1", "b<3"], [0, 2]),
-    (["error=ValueError: ten", "b<15"], [0, 10]), (["tries=1", "b=7"], [7]), ([" b = 7 "], [7]), (["same>1"], []),
-])
+    (["nothing=null", "b<3"], [1, 2]), (["nan=nan", "b<3"], [1, 2]), (["nan<1"], []),
+    (["error=ValueError: ten", "b<15"], [0, 10])])
 def test_conditions(command, given, found):
     stored(30)
     rows = json.loads(command("s.sqlite", "--json", *(text for one in given for text in ("--where", one)))[1])
@@ -81,11 +77,9 @@ def test_conditions(command, given, found):
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (("--where", "c=1"), "there is no column 'c'; there are a, b, pair, same, m"),
-    (("--where", "sam=1"), "did you mean 'same'"), (("--where", "b"), "NAME=VALUE"), (("--where", "=1"), "NAME=VALUE"),
-    (("--where", "b<x"), "followed by a number, got 'x'"), (("--where", "b<nan"), "by a number"),
-    (("--study", "frist"), "did you mean 'first'"), (("--status", "stale"), "--status must be"),
-    (("--to", "t.xls"), "must end in"), (("--take-in", "nowhere.sqlite"), "no such store")])
+    (("--where", "c=1"), "there is no column 'c'; there are a, b, pair, same, m"), (("--where", "b"), "NAME=VALUE"),
+    (("--where", "b<x"), "followed by a number, got 'x'"), (("--study", "frist"), "did you mean 'first'"),
+    (("--status", "stale"), "--status must be"), (("--take-in", "nowhere.sqlite"), "no such store")])
 def test_wrong_questions_are_one_line_and_json_too(command, arguments, words):
     stored(12)
     code, out, err = command("s.sqlite", *arguments)
@@ -142,14 +136,6 @@ def test_parquet_and_csv_are_read_back(command):
         assert read(f"text.{ending}")["v"].tolist() == ["\\udcff\U0001f600", "b"]
 
 
-def test_without_pyarrow_parquet_says_what_to_do(command, monkeypatch):
-    stored(3)
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.setitem(sys.modules, "fastparquet", None)
-    code, _, err = command("s.sqlite", "--to", "t.parquet")
-    assert code == 2 and "pyarrow" in err and not Path("t.parquet").exists()
-
-
 def test_units_are_those_of_study_files(tmp_path):
     store = Store(tmp_path / "s.sqlite")
     measured = {"max_pressure": 1.0, "force_x(bar.bottom)": 2.0}
@@ -185,13 +171,6 @@ def test_a_page_and_its_table_stand_beside_the_store(report):
     assert pd.read_csv("first.csv")["m"].dropna().tolist() == [0.5, 1.0]
     assert report("s.sqlite", "--result", "w", "--to", "other.html")[0] == 0
     assert Path("other.html").read_text(encoding="utf-8").count("<img") < page.count("<img")
-
-
-def test_a_study_whose_name_is_not_that_of_a_file_needs_a_file(report):
-    failed_run("a/b")
-    code, err = report("s.sqlite")
-    assert code == 2 and err.endswith("--to must be given, as the name of the study cannot be that of a file: 'a/b'\n")
-    assert report("s.sqlite", "--to", "ab.html")[0] == 0
 
 
 def test_a_page_says_what_all_runs_share_units_and_when_they_were_made(report):

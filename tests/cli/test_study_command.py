@@ -1,7 +1,5 @@
 """``adaptmg study``: files that are run, options, exit codes, JSON, what is measured, what a user can read of it."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal
@@ -161,14 +159,6 @@ def test_keys_measures_and_cases_are_explained(command):
     assert bolted["bolt"]["values"] == "ring | traction | solid" and "law" not in bolted
 
 
-def test_a_run_that_does_not_converge_ends_with_code_1(command):
-    code, out, err = command("study", written(SMALL.replace("[measure]", "[solver]\nmax_cycles = 1\n[measure]")))
-    assert code == 1 and err.splitlines()[-1] == "adaptmg: 2 of 2 runs did not converge, see the column outcome"
-    assert out.splitlines()[0].split()[:3] == ["case.friction", "outcome", "cycles"] and out.count("LIMIT") == 2
-    code, out, _ = command("study", "study.toml", "--json")
-    assert code == 1 and [row["outcome"] for row in json.loads(out)["rows"]] == ["LIMIT", "LIMIT"]
-
-
 def test_quiet_says_nothing_but_errors(command):
     assert command("study", written(SMALL), "--quiet") == (0, "", "")
     assert Path("results/study.sqlite").exists()
@@ -194,9 +184,8 @@ def test_warnings_are_lines(command):
 @pytest.mark.parametrize(("options", "words"), [
     (("--workers", "100000"), "several machines need a scheduler"),
     (("--workers", "2", "--scheduler", "tcp://localhost:1"), "not both"),
-    (("--scheduler", "localhost:8786"), "an address such as"), (("--scheduler", "tcp://localhost:0"), "an address"),
-    (("--scheduler", "tcp://localhost:1"), "nobody answers at tcp://localhost:1"),
-])
+    (("--scheduler", "localhost:8786"), "an address such as"),
+    (("--scheduler", "tcp://localhost:1"), "nobody answers at tcp://localhost:1")])
 def test_what_cannot_be_run_is_told_before_a_store_is_made(command, options, words):
     code, out, err = command("study", written(SMALL), *options)
     assert (code, out) == (2, "") and words in err and err.count("\n") == 1
@@ -284,7 +273,6 @@ def test_whole_numbers_are_numbers_where_an_argument_is_one(tmp_path, monkeypatc
     ({"correction": "monotone", "coarse.omega": 1.2, "start.rtol": 1e-6, "rtol": 1e-6},
      am.FullMultigrid(correction=am.Monotone(), coarse=am.CoarseSolve(omega=1.2), rtol=1e-6,
                       start=am.FullMultigrid().start.__class__(rtol=1e-6))),
-    ({"correction": "truncated", "recombine": 1}, am.FullMultigrid(correction=am.Truncated(recombine=1))),
     ({"method": "active-set", "linear": "amg", "max_iterations": 90},
      am.ActiveSet(linear=am.AMG(max_iterations=90)))])
 def test_settings_reach_the_method(solver, wanted):
@@ -330,7 +318,7 @@ def test_bisections_at_contact(first):
      am.Displacement(((0.0, 0.0), (0.01, 0.0)), "x")),
     ({"quantity": "mean-displacement", "boundary": "top", "component": "y", "engine": "bisect"},
      am.MeanDisplacement("top", "y")),
-    ({"quantity": "contact-force"}, am.ContactForce()), ({"quantity": "opening", "engine": "bisect"}, am.Opening()),
+    ({"quantity": "opening", "engine": "bisect"}, am.Opening()),
     ({"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3, "coarsen": 0.02}, None)])
 def test_settings_reach_the_adaptive_loop(adapt, wanted):
     given = {"case.case": "greco_bar", "adapt.max_nodes": 90, "adapt.start": 10e-3, "adapt.indicator": "goal",

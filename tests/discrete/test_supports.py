@@ -1,7 +1,5 @@
 """Springs, supports at points and planes of symmetry: exact fields, forces that balance, what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

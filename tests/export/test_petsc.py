@@ -1,7 +1,5 @@
 """Files for PETSc, read back byte by byte by an independent reader, pose the same problem."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json
@@ -128,16 +126,6 @@ def test_the_contact_solution_satisfies_the_conditions_in_the_files(tmp_path):
     others = np.setdiff1d(np.arange(2 * n), np.union1d(files[f"{top}fixed"], (2 * nodes[:, None] + [0, 1]).ravel()))
     assert np.abs(r.ravel()[others]).max() < 1e-6 * force
     assert manifest["contact_boundaries"]
-
-
-def test_coarse_spaces_without_a_problem(tmp_path, bar):
-    algebraic = am.Hierarchy.algebraic(bar.finest.discrete, max_coarse=20)
-    files, _ = exported(tmp_path, algebraic)
-    assert len(algebraic) > 1 and "level0_load" not in files
-    for k, level in enumerate(algebraic.levels):
-        np.testing.assert_array_equal(files[f"level{k}_matrix"].toarray(), level.matrix.toarray())
-        if k:
-            assert files[f"level{k}_prolongation"].shape == (level.matrix.shape[0], algebraic[k - 1].matrix.shape[0])
 
 
 def test_a_bare_problem_is_one_level_and_its_name_is_written_unchanged(tmp_path, bar):

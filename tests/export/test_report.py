@@ -1,7 +1,5 @@
 """Reports: one page that needs nothing else, answers first, folds, escapes, and is sound HTML."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import re

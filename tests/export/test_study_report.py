@@ -1,7 +1,5 @@
 """The report of a study's table: counted, drawn against what varied, failures apart."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,6 +1,4 @@
-"""Runs the rows of a table named on the command line, a JSON line each: python child.py TABLE [ROW ...]."""
-
-from __future__ import annotations
+"""Runs the rows named on the command line, a JSON line each: python child.py TABLE/ROW ..."""
 
 import importlib
 import json
@@ -26,7 +24,8 @@ def outcome(row) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    rows = {row.name: row for row in importlib.import_module(sys.argv[1]).INPUTS}
-    for name in sys.argv[2:]:
-        print(json.dumps({"starts": name}), flush=True)
-        print(json.dumps({"name": name, **outcome(rows[name])}), flush=True)
+    for line in sys.argv[1:]:
+        table, name = line.split("/", 1)
+        rows = {row.name: row for row in importlib.import_module(table).INPUTS}
+        print(json.dumps({"starts": line}), flush=True)
+        print(json.dumps({"name": line, **outcome(rows[name])}), flush=True)

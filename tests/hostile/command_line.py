@@ -1,7 +1,5 @@
 """Bad input of ``adaptmg solve``: one line on standard error that names the option, and exit code 2."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os
@@ -43,9 +41,8 @@ def during(error: BaseException, code: int = 2) -> Callable[[], None]:
 
 
 _SOLVE = {
-    "divisions": ("0", "4,100000", "4,99999999999999999999999", "4,x", "", "4.5", "\udcff", "4\0", "9" * 5000, "30000"),
-    "sizes": ("0", "1e-9", "nan", "1e400", "x", "1e-3;1e-4"), "friction": ("-1", "nan"), "rtol": ("0", "nan"),
-    "max-cycles": ("0",), "pre": ("-1",), "post": ("-1",), "omega": ("2", "nan"), "limit": ("nan",),
+    "divisions": ("0", "4,99999999999999999999999", "4,x", "", "\udcff", "4\0", "9" * 5000),
+    "sizes": ("1e-9", "nan", "x"), "friction": ("nan",), "rtol": ("0",), "max-cycles": ("0",), "omega": ("2",),
 }
 
 

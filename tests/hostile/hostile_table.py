@@ -1,7 +1,5 @@
 """The form of the tables of hostile inputs: a few arguments get all hostile values of their type, others one or two."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 

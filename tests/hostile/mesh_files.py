@@ -14,26 +14,21 @@ from netgen_text import VOL
 
 # what is replaced, and by what
 VOL_DAMAGE = {
-    "node too large": (" 3 1 2 3", " 3 1 2 9"), "node 0": (" 3 1 2 3", " 3 1 2 0"),
-    "node negative": (" 3 1 2 3", " 3 1 2 -1"), "node wraps": (" 3 1 2 3", " 3 1 2 4294967299"),
+    "node too large": (" 3 1 2 3", " 3 1 2 9"), "node negative": (" 3 1 2 3", " 3 1 2 -1"),
     "node float": (" 3 1 2 3", " 3 1 2 2.5"), "node missing": (" 3 1 2 3", " 3 1 2"),
     "quadrilateral": (" 3 1 2 3", " 4 1 2 3"), "element of 10**9 nodes": (" 3 1 2 3", " 1000000000 1 2 3"),
-    "element twice": (" 1 1 1 0 3 1 3 4", " 1 1 1 0 3 1 2 3"), "flat element": (" 3 1 2 3", " 3 1 2 2"),
-    "elements negative": ("surfaceelements\n2", "surfaceelements\n-2"),
+    "element twice": (" 1 1 1 0 3 1 3 4", " 1 1 1 0 3 1 2 3"),
     "elements 10**9": ("surfaceelements\n2", "surfaceelements\n1000000000"),
-    "elements 10**30": ("surfaceelements\n2", "surfaceelements\n1" + "0" * 30),
     "elements fewer": ("surfaceelements\n2", "surfaceelements\n1"),
-    "no elements": ("surfaceelements\n2", "surfaceelements\n0"), "points 10**9": ("points\n4", "points\n1000000000"),
-    "points fewer": ("points\n4", "points\n3"), "points float": ("points\n4", "points\n4.5"),
+    "points 10**9": ("points\n4", "points\n1000000000"), "points fewer": ("points\n4", "points\n3"),
     "points missing": ("points\n", "nothing\n"), "points twice": ("materials", "points"),
-    "coordinate nan": (" 2 1 0", " nan 1 0"), "coordinate text": (" 2 1 0", " a 1 0"),
-    "coordinate missing": (" 2 1 0", " 2 1"), "not plane": (" 2 1 0", " 2 1 3"), "folded over": (" 2 1 0", " -1 1 0"),
-    "dimension 3": ("dimension\n2", "dimension\n3"), "dimension text": ("dimension\n2", "dimension\nx"),
-    "segment node": (" 1 0 1 2", " 1 0 1 99"), "segment negative": (" 1 0 1 2", " 1 0 1 -2"),
+    "coordinate nan": (" 2 1 0", " nan 1 0"), "coordinate missing": (" 2 1 0", " 2 1"),
+    "not plane": (" 2 1 0", " 2 1 3"), "folded over": (" 2 1 0", " -1 1 0"),
+    "dimension 3": ("dimension\n2", "dimension\n3"), "segment node": (" 1 0 1 2", " 1 0 1 99"),
     "segment left out": ("edgesegmentsgi2\n4", "edgesegmentsgi2\n3"), "boundary 0": (" 2 0 2 3", " 0 0 2 3"),
     "boundary huge": (" 2 0 2 3", " 999999 0 2 3"), "boundary without name": (" 2 0 2 3", " 7 0 2 3"),
-    "name with control character": ("2 right", "2 ri\x1b[31mght"), "name without number": ("2 right", "right"),
-    "names 10**9": ("bcnames\n3", "bcnames\n1000000000"), "other file": ("mesh3d", "solid"), "no end": ("endmesh", ""),
+    "name with control character": ("2 right", "2 ri\x1b[31mght"), "other file": ("mesh3d", "solid"),
+    "no end": ("endmesh", ""),
 }
 
 MSH2 = """$MeshFormat
@@ -63,23 +58,15 @@ $Elements
 $EndElements
 """
 MSH2_DAMAGE = {
-    "node too large": ("1 1 2 3\n", "1 1 2 9\n"), "node 0": ("1 1 2 3\n", "1 1 2 0\n"),
-    "node negative": ("1 1 2 3\n", "1 1 2 -1\n"), "node wraps": ("1 1 2 3\n", "1 1 2 4294967299\n"),
-    "node float": ("1 1 2 3\n", "1 1 2 2.5\n"), "node missing": ("1 1 2 3\n", "1 1 2\n"),
-    "nodes negative": ("$Nodes\n4", "$Nodes\n-4"), "nodes 10**9": ("$Nodes\n4", "$Nodes\n1000000000"),
-    "nodes fewer": ("$Nodes\n4", "$Nodes\n3"),
+    "node too large": ("1 1 2 3\n", "1 1 2 9\n"), "node wraps": ("1 1 2 3\n", "1 1 2 4294967299\n"),
+    "node missing": ("1 1 2 3\n", "1 1 2\n"), "nodes 10**9": ("$Nodes\n4", "$Nodes\n1000000000"),
     "node number float": ("\n3 2 1 0", "\n2.5 2 1 0"), "node number huge": ("\n3 2 1 0", "\n2000000000 2 1 0"),
-    "node number twice": ("\n3 2 1 0", "\n2 2 1 0"), "coordinate nan": ("\n3 2 1 0", "\n3 nan 1 0"),
-    "coordinate text": ("\n3 2 1 0", "\n3 x 1 0"), "not plane": ("\n3 2 1 0", "\n3 2 1 5"),
-    "folded over": ("\n3 2 1 0", "\n3 -1 1 0"), "elements 10**9": ("$Elements\n6", "$Elements\n1000000000"),
-    "elements negative": ("$Elements\n6", "$Elements\n-6"), "elements fewer": ("$Elements\n6", "$Elements\n5"),
-    "tags 10**9": ("5 2 2 3", "5 2 1000000000 3"), "tags negative": ("5 2 2 3", "5 2 -2 3"),
-    "unknown type": ("5 2 2 3", "5 77 2 3"), "quadrilateral": ("5 2 2 3 1 1 2 3", "5 3 2 3 1 1 2 3 4"),
-    "element twice": ("6 2 2 3 1 1 3 4", "6 2 2 3 1 1 2 3"), "version 9": ("2.2 0 8", "9.9 0 8"),
+    "node number twice": ("\n3 2 1 0", "\n2 2 1 0"), "elements 10**9": ("$Elements\n6", "$Elements\n1000000000"),
+    "tags 10**9": ("5 2 2 3", "5 2 1000000000 3"), "unknown type": ("5 2 2 3", "5 77 2 3"),
+    "quadrilateral": ("5 2 2 3 1 1 2 3", "5 3 2 3 1 1 2 3 4"), "version 9": ("2.2 0 8", "9.9 0 8"),
     "nodes do not end": ("$EndNodes\n", ""), "elements do not end": ("$EndElements\n", ""),
     "names do not end": ("$EndPhysicalNames\n", ""), "no nodes": ("$Nodes", "$Nods"),
-    "name with control character": ('"top"', '"to\x07p"'), "empty name": ('"top"', '""'),
-    "other file": ("$MeshFormat", "solid"),
+    "name with control character": ('"top"', '"to\x07p"'), "other file": ("$MeshFormat", "solid"),
 }
 MSH4 = """$MeshFormat
 4.1 0 8

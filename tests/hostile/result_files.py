@@ -1,7 +1,5 @@
 """Damaged and hostile files of results: each is refused by one ValueError that names the file."""
 
-from __future__ import annotations
-
 import functools
 import io
 import json

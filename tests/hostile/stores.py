@@ -1,7 +1,5 @@
 """Damaged stores: of load paths (a folder of step files) and of studies (a database); each error names the file."""
 
-from __future__ import annotations
-
 import functools
 import json
 import os

@@ -1,7 +1,5 @@
 """Pictures of contact, histories, cycle diagrams, meshes and adaptive loops show the data of their arguments."""
 
-from __future__ import annotations
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Pictures of several bodies show the result, body by body and pair by pair."""
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import pairwise
 

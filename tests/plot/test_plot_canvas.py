@@ -1,7 +1,5 @@
 """Nothing leaves the canvas, and no title or label covers another, in every kind of picture."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Names may hold what matplotlib reads as math or as a hidden label: pictures show them unchanged."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """am.plot.problem: boundaries, loads, gaps and names of the problem that is posed."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Surfaces in space: each pixel shows the nearest triangle, with and without the JIT."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from made import cube

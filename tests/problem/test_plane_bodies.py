@@ -1,7 +1,5 @@
 """Plane domains combined: areas add up, names stay, meshes fill them, arcs keep their nodes; what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import meshio

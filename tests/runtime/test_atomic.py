@@ -1,7 +1,5 @@
 """The one writer: files are whole or not there, with the permissions of others, and nothing is left beside them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import stat

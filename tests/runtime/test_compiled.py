@@ -1,7 +1,5 @@
 """Kernels without a way in from Python, and values that are remembered as long as their object lives."""
 
-from __future__ import annotations
-
 import gc
 import pickle
 import weakref

@@ -1,7 +1,5 @@
 """Kernels run where their compiled code can be neither kept nor read back; each case in a process of its own."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Results do not depend on BLAS threads, on random numbers, on the run, nor on what another thread solves."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Warnings on what exceeds the theory: each fires where it should, and none on any case; the default of one mesh."""
 
-from __future__ import annotations
-
 import logging
 import warnings
 from dataclasses import replace

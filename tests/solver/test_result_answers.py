@@ -1,7 +1,5 @@
 """What a result answers about stress, strain, energy and contact, against exact fields, matrices and Hertz."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Studies on workers: the same rows as in one process, whatever happens to the workers."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import ctypes

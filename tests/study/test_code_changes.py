@@ -5,8 +5,6 @@ NAME' begins a change, '### FILE' a file beside script.py, '<<a|>b>>' is a befor
 (rows become stale), refused (with a way out), unseen (as the documentation says), same.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys

@@ -1,7 +1,5 @@
 """Designs: the points one expects, in order, and no endless ones."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a run depends on: everything that changes its results, and nothing that does not."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import importlib

@@ -1,7 +1,5 @@
 """A study that is killed with -9 and resumed has every run once, equal to the last bit to one that was not."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

@@ -1,7 +1,5 @@
 """Workers that a queue starts: the example of the guide with dask-jobqueue, on a SLURM that is none."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

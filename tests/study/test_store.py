@@ -1,7 +1,5 @@
 """The store: two processes that write, a file that changes while it is in use, results that are kept as files."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

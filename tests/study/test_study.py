@@ -1,7 +1,5 @@
 """Studies: nothing is lost, nothing is computed twice, nothing stale is taken for fresh."""
 
-from __future__ import annotations
-
 import functools
 import math
 import time
