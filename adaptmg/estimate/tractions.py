@@ -108,21 +108,20 @@ class SurfaceTraction:
 
 def contact_tractions(mesh: MeshArrays, contact: ContactResult, axisymmetric: bool) -> Mapping[str, SurfaceTraction]:
     """Contact tractions on all boundaries that may touch something, masters too, by name."""
-    masters = contact.masters or ("",) * len(contact.names)
-    on_slave = _on_slaves(mesh, contact)
-    return {name: _on_surface(mesh, contact, masters, name, on_slave, axisymmetric)
-            for name in dict.fromkeys([*contact.names, *filter(None, masters)])}
+    on_slave = contact.on_slaves(mesh)
+    return {name: _on_surface(mesh, contact, name, on_slave, axisymmetric)
+            for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])}
 
 
-def _on_surface(mesh: MeshArrays, contact: ContactResult, masters: tuple[str, ...], name: str, on_slave: np.ndarray,
-                axisymmetric: bool) -> SurfaceTraction:
+def _on_surface(mesh: MeshArrays, contact: ContactResult, name: str, on_slave: np.ndarray, axisymmetric: bool
+                ) -> SurfaceTraction:
     facets = named_facets(mesh, name)
     nodes, place = np.unique(facets, return_inverse=True)
     place, vectors = place.reshape(facets.shape), area_vectors(mesh.points, facets)
     share = np.linalg.norm(vectors, axis=1)[:, None] * shape_integrals(mesh.points, facets, axisymmetric)
     mass = np.bincount(place.ravel(), weights=share.ravel(), minlength=len(nodes))
     force, filled = np.zeros((len(nodes), mesh.dim)), np.zeros(len(nodes), dtype=bool)
-    for k, (slave, master) in enumerate(zip(contact.names, masters, strict=True)):
+    for k, (slave, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
         if slave == name:
             mine = contact.boundary == k
             at = np.searchsorted(nodes, contact.node[mine])
@@ -155,13 +154,3 @@ def _continue(contact: ContactResult, nodes: np.ndarray, place: np.ndarray, vect
             near = near[filled[near]]
             if len(near):
                 values[i] = values[near].mean(axis=0)
-
-
-def _on_slaves(mesh: MeshArrays, contact: ContactResult) -> np.ndarray:
-    """Which of ``contact.master_node`` (m,) lie on the slave of their pair."""
-    result = np.zeros(len(contact.master_node), dtype=bool)
-    for k, name in enumerate(contact.names):
-        mine = contact.master_boundary == k
-        if mine.any():
-            result[mine] = np.isin(contact.master_node[mine], mesh.boundary_nodes(name))
-    return result
