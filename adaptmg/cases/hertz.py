@@ -60,8 +60,7 @@ class HertzContact(ABC):
     words: ClassVar[tuple[str, str]]
 
     def __post_init__(self) -> None:
-        for name in ("load", "radius", "modulus"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+        checks.convert(self, checks.positive, "load", "radius", "modulus")
 
     @classmethod
     def of(cls, load: float, radius: float, lower_radius: float | None, material: Elastic) -> HertzContact:
