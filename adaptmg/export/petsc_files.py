@@ -54,7 +54,7 @@ def petsc(problem: Hierarchy | DiscreteProblem, directory: str | os.PathLike[str
 
     Notes
     -----
-    The path of the manifest is returned. Unknowns are ``dim * node + component``. A u - b is zero except at fixed dofs
+    Returns the path of the manifest. Unknowns are ``dim * node + component``. A u - b is zero except at fixed dofs
     and at contact nodes, where u.n <= g0, p = -r.n >= 0, p (g0 - u.n) = 0, |f_t| <= s + friction p. For several bodies
     the unknowns at contact nodes are relative to the other body, and ``coupling`` gives displacements.
 

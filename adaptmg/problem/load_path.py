@@ -29,8 +29,6 @@ _ROUNDING = 1e-14
 class LoadPath:
     """Factors of loads and prescribed displacements in each load step.
 
-    TypeError, ValueError on factors that are not finite numbers, or sequences of different lengths.
-
     Parameters
     ----------
     factors : mapping of str to float or sequence of float
