@@ -246,8 +246,8 @@ class Flanges:
     seat: float = 0.020  # radial width of the heads of the equivalent ring, and of the ring of a bolt traction
 
     def __post_init__(self) -> None:
-        for name in ("bore", "wall", "length", "outer", "upper", "lower", "bolt_circle", "diameter", "seat"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+        checks.convert(self, checks.positive, "bore", "wall", "length", "outer", "upper", "lower", "bolt_circle",
+                       "diameter", "seat")
         checks.integer("n_bolts", self.n_bolts, 1)
         wide = 0.5 * max(1.2 * self.seat, self.head_diameter)
         if not self.bore + self.wall < self.bolt_circle - wide < self.bolt_circle + wide < self.outer:

@@ -60,8 +60,7 @@ class HertzContact(ABC):
     words: ClassVar[tuple[str, str]]
 
     def __post_init__(self) -> None:
-        for name in ("load", "radius", "modulus"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+        checks.convert(self, checks.positive, "load", "radius", "modulus")
 
     @classmethod
     def of(cls, load: float, radius: float, lower_radius: float | None, material: Elastic) -> HertzContact:
@@ -190,6 +189,8 @@ def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.
                  lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """A ball on a block, or on another ball.
 
+    ``reference`` is that of :func:`hertz_cylinder` with a :class:`PointContact`, and ``approach`` (m).
+
     Parameters
     ----------
     law : Law
@@ -204,10 +205,6 @@ def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.
         Of the body below, m; None for a block with a flat top.
     young, poisson : float
         Of both bodies, Pa, and a number.
-
-    Notes
-    -----
-    ``reference`` is that of :func:`hertz_cylinder` with a :class:`PointContact`, and ``approach`` (m).
 
     Examples
     --------

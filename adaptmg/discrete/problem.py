@@ -125,18 +125,13 @@ class DiscreteProblem(Unknowns):
                 weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
                 coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | OnDemand | None = None,
                 name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None) -> DiscreteProblem:
-        """Several bodies in contact, from their uncoupled matrix and load.
+        """Several bodies in contact, from their uncoupled matrix and load: in relative coordinates, with ``coupling``.
 
-        Parameters as of the class, in displacements. ``contact`` are the slave nodes; their gaps and slips are
-        relative. ``near_nullspace`` should hold the rigid-body modes of every body (one column a body and mode); with
-        ``coordinates`` alone the bodies move together in it.
-
-        In relative coordinates, with ``coupling``. The Result of :func:`adaptmg.solve` has displacements.
-
-        Parameters
-        ----------
-        weights : (n_nodes, n_nodes) sparse
-            W: in the rows of slave nodes the nodes that they face, row sums 1.
+        Parameters as of the class, in displacements, as are those of the Result of :func:`adaptmg.solve`. ``weights``
+        W (n_nodes, n_nodes), sparse, have in the rows of slave nodes the nodes that they face, with row sums 1.
+        ``contact`` are the slave nodes; their gaps and slips are relative. ``near_nullspace`` should hold the
+        rigid-body modes of every body (one column a body and mode); with ``coordinates`` alone the bodies move
+        together in it.
         """
         checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
         check_law(law)
@@ -174,12 +169,8 @@ class DiscreteProblem(Unknowns):
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.
 
-        Parameters
-        ----------
-        load, fixed_values : (n_dofs,) arrays
-            N and m, in the coordinates of this problem (with a coupling relative ones).
-        slip_reference : (n_contact, dim) array
-            Displacement of the contact nodes against which slip is measured, as :meth:`at_contact` has it, m.
+        ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a coupling relative ones),
+        N and m; slips count from ``slip_reference`` (n_contact, dim), as :meth:`at_contact` has it, m.
         """
         contact, result = copy.copy(self.contact), copy.copy(self)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)

@@ -100,13 +100,7 @@ def adapt(problem: ContactProblem,
     ------
     Step
         The generator may be broken off at any step. After the last one ``step.outcome`` says why there are no more.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Bad arguments, immediately; a first mesh beyond the limits; a store of something else.
-    NotConverged
-        If a step cannot be solved.
+        TypeError or ValueError for bad arguments, immediately; NotConverged if a step cannot be solved.
 
     Examples
     --------

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from adaptmg._runtime import one_blas_thread
-from adaptmg.discrete.load_steps import load_steps
+from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.bisect import divisible
 from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of
 from adaptmg.estimate.loop_store import LoopStore, Meshes, StoredStep

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptmg.discrete.load_steps import load_steps
+from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy

@@ -151,19 +151,17 @@ class MeanDisplacement:
 def _contact_mask(view: GoalView, name: str) -> tuple[np.ndarray, float]:
     """Mask of the contact nodes of a boundary, and the sign: -1 where it is the master of a pair."""
     contact = view.posed.result.contact
-    masters = contact.masters or ("",) * len(contact.names)
     if name == "contact":
         return np.ones(len(contact.node), dtype=bool), 1.0
     if name in contact.names:
         return contact.boundary == contact.names.index(name), 1.0
-    labels = [f"{slave} on {master}" if master else slave for slave, master in zip(contact.names, masters, strict=True)]
-    if name in labels:
-        return contact.boundary == labels.index(name), 1.0
-    if name not in masters:
-        candidates = ("contact", *contact.names, *filter(None, masters))
+    if name in contact.pair_names:
+        return contact.boundary == contact.pair_names.index(name), 1.0
+    if name not in contact.masters:
+        candidates = ("contact", *contact.names, *filter(None, contact.masters))
         raise ValueError(f"there is no contact on boundary {name!r}{checks.suggestion(name, candidates)}; contact is "
-                         f"on {', '.join(map(repr, labels))}")
-    return np.isin(contact.boundary, [k for k, master in enumerate(masters) if master == name]), -1.0
+                         f"on {', '.join(map(repr, contact.pair_names))}")
+    return np.isin(contact.boundary, [k for k, master in enumerate(contact.masters) if master == name]), -1.0
 
 
 @dataclass(frozen=True)
@@ -339,8 +337,7 @@ def _faced(view: GoalView, k: int) -> np.ndarray:
 
 def _of_master(view: GoalView, k: int) -> np.ndarray | float:
     """By how much the bubbles (n_edges, dim) of the master of contact boundary k, moving outwards, close the gap."""
-    masters = view.posed.result.contact.masters
-    if not masters or not masters[k]:
+    if not view.posed.result.contact.masters[k]:
         return 0.0
     facets = _faced(view, k)
     return view.bubbles.boundary_work(facets, np.repeat(_normals(view, facets)[:, None], facets.shape[1], axis=1))
@@ -391,7 +388,7 @@ def _chords(view: GoalView, k: int, facets: np.ndarray, mean: float) -> np.ndarr
     """What the curves of contact boundary k change in a mean, times the size of the boundary, by edges (n_edges,)."""
     gap, middles, between = _middle_gaps(view, k, facets)
     result = _halved(view, facets, middles, gap[facets] - mean, between - mean)
-    master = view.posed.result.contact.masters[k] if view.posed.result.contact.masters else ""
+    master = view.posed.result.contact.masters[k]
     if master and view.posed.problem.contact[k].gap is None:
         faced = _faced(view, k)
         middles, out = _middles(view, master, faced)

@@ -78,8 +78,7 @@ class Remesh:
     refinements: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("growth", "finest", "coarsest"):
-            object.__setattr__(self, name, checks.positive(name, getattr(self, name)))
+        checks.convert(self, checks.positive, "growth", "finest", "coarsest")
         if not self.growth > 1:
             raise ValueError(f"growth must be > 1, got {self.growth!r}")
         if not self.finest < 1 <= self.coarsest:

@@ -30,8 +30,7 @@ from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
 from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.stress_fields import ElementStress, Posed, posed
-from adaptmg.estimate.tractions import contact_tractions
+from adaptmg.estimate.stress_fields import ElementStress, Posed, contact_tractions, posed
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_points, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.loads import BodyForce, Load, Pressure, Spring, Traction

@@ -162,10 +162,9 @@ def _document(result: Result) -> bytes:
 
 def _field_data(result: Result) -> dict[str, np.ndarray]:
     contact = result.contact
-    masters = contact.masters or ("",) * len(contact.names)
     names = {f"body:{name}": k for k, name in enumerate(result.mesh.bodies)}
     names |= {f"contact:{slave}|{master}" if master else f"contact:{slave}": k
-              for k, (slave, master) in enumerate(zip(contact.names, masters, strict=True))}
+              for k, (slave, master) in enumerate(zip(contact.names, contact.masters, strict=True))}
     return {name: np.array([k], dtype=np.int32) for name, k in names.items()}
 
 

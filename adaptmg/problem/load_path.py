@@ -29,8 +29,6 @@ _ROUNDING = 1e-14
 class LoadPath:
     """Factors of loads and prescribed displacements in each load step.
 
-    TypeError, ValueError on factors that are not finite numbers, or sequences of different lengths.
-
     Parameters
     ----------
     factors : mapping of str to float or sequence of float
@@ -78,14 +76,9 @@ class LoadPath:
         return self.factors.get(name, self.default)
 
     def resolved(self, problem: ContactProblem | None) -> dict[str, np.ndarray]:
-        """Factors (n_steps,) of everything a problem has to scale.
+        """Factors (n_steps,) of everything a problem has to scale; of a bare DiscreteProblem (None) ``default`` alone.
 
         ValueError if the path names something that the problem does not load or move.
-
-        Parameters
-        ----------
-        problem : ContactProblem or None
-            None stands for a bare DiscreteProblem, whose loads have no names: then only ``default`` counts.
         """
         if problem is None and self.factors:
             raise ValueError(f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem have "
@@ -147,16 +140,10 @@ class Scaled:
 def step_problem(problem: ContactProblem, factors: Mapping[str, float]) -> ContactProblem:
     """Return the problem with its loads and prescribed displacements multiplied by the factors of one load step.
 
-    Loads with factor 0 stay, as zeros. The slip of earlier steps is not part of it.
-
-    ValueError for a name under which nothing is loaded or moved, or a factor that is not finite.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-    factors : mapping of str to float
-        By the names of a :class:`LoadPath`; what is not named keeps its size. Those of step k of a PathResult are
-        ``{name: values[k] for name, values in path.factors.items()}``.
+    ``factors`` go by the names of a :class:`LoadPath`; what is not named keeps its size. Those of step k of a
+    PathResult are ``{name: values[k] for name, values in path.factors.items()}``. Loads with factor 0 stay, as zeros;
+    the slip of earlier steps is not part of it. ValueError for a name under which nothing is loaded or moved, or a
+    factor that is not finite.
     """
     factors = {name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()}
     _check_names("factors name", factors, names_in_path(problem))

@@ -58,19 +58,9 @@ class Plane:
         return self.point.size
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Contact normals and gaps at boundary points.
+        """Contact normals (n, dim) and gaps (n,), m, at boundary points (n, dim), m, with outward unit normals.
 
-        Parameters
-        ----------
-        points, normals : (n, dim) arrays
-            Nodes of the contact boundary (m) and outward unit normals of the body there.
-
-        Returns
-        -------
-        normals : (n, dim) array
-            The direction in which the gap is measured, out of the body.
-        gaps : (n,) array
-            m; negative where the node lies behind the plane.
+        Gaps are measured along the contact normals, which point out of the body; negative behind the plane.
         """
         facing = normals @ self.normal
         if (facing > 0).any():

@@ -107,7 +107,7 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
         least = min(float(result.contact.gap[at].min(initial=np.inf)) for result in results)
         if moved > 0.0 and least > FAR * moved:
             where = f"stays at least {least:.3g} m from" if np.isfinite(least) else "has nothing in front of"
-            other = (*contact.masters, *[""] * len(contact.names))[k]
+            other = contact.masters[k]
             advise("apart", f"contact {name!r} {where} {repr(other) if other else 'its obstacle'}, and no point moves "
                    f"by more than {moved:.3g} m: they cannot meet. Check the positions and normals of both (m), and "
                    "the loads that press them together")

@@ -14,6 +14,8 @@ from adaptmg.smoother.system import OPEN, SLIP, STICK
 if TYPE_CHECKING:
     import pandas
 
+    from adaptmg.mesh.arrays import MeshArrays
+
 _STATES = {"open": OPEN, "slip": SLIP, "stick": STICK}
 
 
@@ -85,6 +87,8 @@ class ContactResult:
     axisymmetric: bool = False
 
     def __post_init__(self) -> None:
+        if not self.masters:
+            object.__setattr__(self, "masters", ("",) * len(self.names))
         if self.master_node is None:
             empty = np.empty(0, dtype=np.int64)
             for name, value in (("master_node", empty), ("master_force", np.empty((0, self.frames.shape[1]))),
@@ -99,9 +103,17 @@ class ContactResult:
     @property
     def pair_names(self) -> list[str]:
         """For each of ``names`` the contact boundary, or "slave on master"."""
-        masters = self.masters or ("",) * len(self.names)
         return [f"{slave} on {master}" if master else slave
-                for slave, master in zip(self.names, masters, strict=True)]
+                for slave, master in zip(self.names, self.masters, strict=True)]
+
+    def on_slaves(self, mesh: MeshArrays | None) -> np.ndarray:
+        """Which of ``master_node`` (m,) lie on the slave of their pair; without a mesh none."""
+        result = np.zeros(len(self.master_node), dtype=bool)
+        for k, name in enumerate(self.names if mesh is not None else ()):
+            mine = self.master_boundary == k
+            if mine.any():
+                result[mine] = np.isin(self.master_node[mine], mesh.boundary_nodes(name))
+        return result
 
     @property
     def closed(self) -> np.ndarray:

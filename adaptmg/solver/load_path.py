@@ -24,7 +24,7 @@ from adaptmg import _checks as checks
 from adaptmg._files import make_folder
 from adaptmg._runtime import one_blas_thread, say
 from adaptmg._text import html_table, in_html_lines, shortened
-from adaptmg.discrete.load_steps import LoadSteps, load_steps, whole_load
+from adaptmg.discrete.discretise import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy

@@ -377,7 +377,7 @@ class Result:
         if self.mesh is None:
             return Resultant(forces.sum(axis=0), None)
         about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
-        touches = boundary in ("contact", *self.contact.names, *(self.contact.masters or ()))
+        touches = boundary in ("contact", *self.contact.names, *self.contact.masters)
         of_springs = np.array(self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3)))
         force, turning = of_springs[:self.dim], of_springs[self.dim:]
         turning = turning - moment(about[None], force[None]) + moment(self.mesh.points[nodes] - about, forces)
@@ -388,10 +388,10 @@ class Result:
         checks.instance("boundary", boundary, str, "the name of a boundary")
         c = self.contact
         slave = np.array([boundary in ("contact", name) for name in c.names])
-        master = np.array([boundary == name != "" for name in c.masters or ("",) * len(c.names)])
+        master = np.array([boundary == name != "" for name in c.masters])
         if slave.any() or master.any():
             own = slave[c.boundary]
-            others = np.where(self._on_slaves(), slave[c.master_boundary], master[c.master_boundary])
+            others = np.where(c.on_slaves(self.mesh), slave[c.master_boundary], master[c.master_boundary])
             return (np.concatenate([c.node[own], c.master_node[others]]),
                     np.concatenate([c.force[own], c.master_force[others]]))
         if self.mesh is None:
@@ -413,16 +413,6 @@ class Result:
             if name == boundary:
                 own = held
         return np.divide(own, total, out=np.ones_like(total), where=total > 0)
-
-    def _on_slaves(self) -> np.ndarray:
-        """Which of ``contact.master_node`` (m,) lie on the slave of their pair; without a mesh none."""
-        c = self.contact
-        result = np.zeros(len(c.master_node), dtype=bool)
-        for k, name in enumerate(c.names if self.mesh is not None else ()):
-            mine = c.master_boundary == k
-            if mine.any():
-                result[mine] = np.isin(c.master_node[mine], self.mesh.boundary_nodes(name))
-        return result
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.result_file`."""

@@ -27,7 +27,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, write_bytes
 from adaptmg._fingerprint import value_parts
-from adaptmg.discrete.load_steps import LoadSteps
+from adaptmg.discrete.discretise import LoadSteps
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.result import Result
 from adaptmg.solver.result_file import damage, read_result, write_result

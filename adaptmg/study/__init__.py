@@ -9,14 +9,14 @@ if TYPE_CHECKING:
     from adaptmg.study.designs import Grid, LatinHypercube, Points, Random, Repeated, Sobol, Zip
     from adaptmg.study.record import StudyStatus
     from adaptmg.study.study import Study
-    from adaptmg.study.tables import as_html, as_text
+    from adaptmg.study.tables import as_text
 
-_WHERE = {"Study": "adaptmg.study.study", "StudyStatus": "adaptmg.study.record", "as_html": "adaptmg.study.tables",
+_WHERE = {"Study": "adaptmg.study.study", "StudyStatus": "adaptmg.study.record",
           "as_text": "adaptmg.study.tables", "local_cluster": "adaptmg.study.cluster"}
 _WHERE |= dict.fromkeys(("Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Zip"),
                         "adaptmg.study.designs")
 
-__all__ = ["Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Study", "StudyStatus", "Zip", "as_html",
+__all__ = ["Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Study", "StudyStatus", "Zip",
            "as_text", "local_cluster"]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -82,17 +82,15 @@ def _mapping(name: str, given: object, words: str) -> Mapping[str, object]:
 
 def _values(name: str, values: object) -> list[Value]:
     """Return the values of a parameter; a sequence too long, or without an end, is refused before they are made."""
-    if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
-        raise TypeError(f"parameters[{name!r}] must be a sequence of values, got {checks.shown(values)}")
-    if not isinstance(values, Sized):
-        raise TypeError(f"parameters[{name!r}] must be a sequence of values whose length is known, such as a list, got "
-                        f"{checks.shown(values)}: it may have no end")
     try:
-        length = len(values)
+        length = -1 if isinstance(values, str | Mapping) or not isinstance(values, Iterable) else len(values)
     except OverflowError:
         length = 2**63
-    except TypeError:  # an array without an axis
-        raise TypeError(f"parameters[{name!r}] must be a sequence of values, got {checks.shown(values)}") from None
+    except TypeError:  # a generator, an array without an axis
+        length = -1
+    if length < 0:
+        raise TypeError(f"parameters[{name!r}] must be a sequence of values whose length is known, such as a list, got "
+                        f"{checks.shown(values)}: others may have no end")
     if not _check_length(length):
         raise ValueError(f"parameters[{name!r}] is empty: give at least one value")
     return [parameter_value(name, value) for value in values]

@@ -61,9 +61,6 @@ class Study:
     that are stale: code or values that the run function reads, the numerical sources of adaptmg, or a version of a
     package changed (see :meth:`status`). Data files and environment variables are not seen; ``depends`` can name them.
 
-    TypeError, ValueError for values that cannot be stored, for parameters that the function does not take or lacks,
-    and for a function that reads a value which cannot be compared.
-
     Parameters
     ----------
     run : function

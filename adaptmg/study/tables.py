@@ -1,4 +1,4 @@
-"""Tables as aligned text and as HTML, with units in the headers."""
+"""Tables as aligned text, with units in the headers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adaptmg._text import in_html, printable
+from adaptmg._text import printable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,27 +51,6 @@ def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
     rows = [line(row) for row in zip(*columns, strict=True)]
     body = [line(headers), "  ".join("-" * width for width in widths), *rows]
     return printable("\n".join([caption] * bool(caption) + body + [note] * bool(note)))
-
-
-def as_html(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
-            formats: Mapping[str, str] | None = None) -> str:
-    """Return a table as an HTML ``<figure>``, escaped, numbers in class ``n``; arguments as of :func:`as_text`.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> "<table" in am.study.as_html(pd.DataFrame({"cycles": [14, 9]}))
-    True
-    """
-    headers, columns = cells(table, units, formats)
-    classes = [' class="n"' if numeric(column) else "" for _, column in table.items()]
-    head = "".join(f"<th{c}>{in_html(h)}</th>" for h, c in zip(headers, classes, strict=True))
-    body = "\n".join("<tr>" + "".join(f"<td{c}>{in_html(cell)}</td>" for cell, c in zip(row, classes, strict=True))
-                     + "</tr>" for row in zip(*columns, strict=True))
-    top = f"<figcaption>{in_html(caption)}</figcaption>\n" if caption else ""
-    bottom = f'\n<p class="note">{in_html(note)}</p>' if note else ""
-    return (f'<figure class="table">\n{top}<div class="scroll"><table>\n<thead><tr>{head}</tr></thead>\n'
-            f"<tbody>\n{body}\n</tbody>\n</table></div>{bottom}\n</figure>")
 
 
 def cells(table: Table, units: Mapping[str, str] | None = None,

@@ -9,7 +9,7 @@ from made import square
 
 import adaptmg as am
 from adaptmg.discrete import discretise, fixed_dofs
-from adaptmg.discrete.load_steps import load_steps
+from adaptmg.discrete.discretise import load_steps
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.stress import StressData
 from adaptmg.problem import step_problem

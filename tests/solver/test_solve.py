@@ -172,7 +172,7 @@ def test_resultants_balance_the_loads(solved):
 
 def test_contact_without_names_has_a_resultant():
     result = result_on(None)
-    assert result.contact.masters == ()
+    assert result.contact.masters == ("",)
     np.testing.assert_array_equal(result.resultant("contact").force, result.contact.force.sum(axis=0))
     with pytest.raises(ValueError, match="boundary '' is not known"):
         result.resultant("")
