@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._runtime import made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.problem import DiscreteProblem
@@ -78,8 +79,9 @@ class Result:
         The method that took over where the solver did not converge, and from which cycle; empty if none did.
     choice : str
         Why the solver was taken, where :func:`adaptmg.solve` chose one for one mesh; else empty.
-    mesh : MeshArrays or None
-        Finest mesh (without its NGSolve source after loading).
+    mesh : MeshArrays
+        Finest mesh (without its NGSolve source after loading); AttributeError if the result comes from a bare
+        DiscreteProblem.
     start_work_units : float
         The part of ``work_units`` spent before the first cycle on the finest level (nested start).
     versions : dict of str to str
@@ -121,7 +123,7 @@ class Result:
     levels: list[dict[str, float]]
     problem_name: str
     solver_name: str
-    mesh: MeshArrays | None = None
+    mesh: MeshArrays = None  # a property below the class says where it is absent
     start_work_units: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     stress_data: StressData | None = None
@@ -153,7 +155,7 @@ class Result:
         return shortened(str(self))
 
     def _repr_html_(self) -> str:
-        return in_html_lines(str(self)) + ("" if self.mesh is None else html_table(self.pairs()))
+        return in_html_lines(str(self)) + (html_table(self.pairs()) if hasattr(self, "mesh") else "")
 
     def __str__(self) -> str:
         states = self.contact.counts()
@@ -218,13 +220,12 @@ class Result:
     def _located(self, points: ArrayLike) -> Location:
         from adaptmg.transfer import PointLocator
 
-        if self.mesh is None:
-            raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .displacement")
+        mesh = self.mesh
         if getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points))):
             points = [points]  # one point
-        points = check_arrays.array("points", points, (None, self.dim))
-        found = PointLocator(self.mesh).locate(points)
-        outside = found.distance > 1e-6 * self.mesh.element_sizes[found.element]
+        points = check_arrays.array("points", points, (None, mesh.dim))
+        found = PointLocator(mesh).locate(points)
+        outside = found.distance > 1e-6 * mesh.element_sizes[found.element]
         if outside.any():
             i = int(np.argmax(outside))
             raise ValueError(f"point {i} {points[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
@@ -371,7 +372,7 @@ class Result:
         return getattr(adaptmg.plot, checks.choice("kind", kind, ("deformation", "contact", "history")))(self)
 
     def _data(self) -> StressData:
-        if self.mesh is None or self.stress_data is None:
+        if self.stress_data is None or not hasattr(self, "mesh"):
             raise ValueError("this result has no materials to compute stresses from (it comes from a bare "
                              "DiscreteProblem): replace its mesh and stress_data=StressData.of(mesh, material)")
         return self.stress_data
@@ -411,15 +412,16 @@ class Result:
             surfaces that lie on each other, and else up to the lever between the two discrete surfaces: 1e-8 to 1e-4 of
             force times size on curved ones. The mortar transmits each force across the gap without regard to its arm.
         """
-        at_point = boundary in self.springs and boundary not in self.mesh.boundaries
+        mesh = getattr(self, "mesh", None)
+        at_point = boundary in self.springs and boundary not in mesh.boundaries
         nodes, forces = (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)
-        if self.mesh is None:
+        if mesh is None:
             return Resultant(forces.sum(axis=0), None)
         about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
         touches = boundary in ("contact", *self.contact.names, *(self.contact.masters or ()))
         of_springs = np.array(self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3)))
         force, turning = of_springs[:self.dim], of_springs[self.dim:]
-        turning = turning - moment(about[None], force[None]) + moment(self.mesh.points[nodes] - about, forces)
+        turning = turning - moment(about[None], force[None]) + moment(mesh.points[nodes] - about, forces)
         return Resultant(forces.sum(axis=0) + force, turning if self.dim == 3 else turning[0])
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
@@ -433,7 +435,7 @@ class Result:
             others = np.where(self._on_slaves(), slave[c.master_boundary], master[c.master_boundary])
             return (np.concatenate([c.node[own], c.master_node[others]]),
                     np.concatenate([c.force[own], c.master_force[others]]))
-        if self.mesh is None:
+        if not hasattr(self, "mesh"):
             raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {c.names}")
         nodes, of_contact = self.mesh.boundary_nodes(boundary), np.zeros_like(self.reaction)
         of_contact[c.node] = c.force
@@ -457,7 +459,7 @@ class Result:
         """Which of ``contact.master_node`` (m,) lie on the slave of their pair; without a mesh none."""
         c = self.contact
         result = np.zeros(len(c.master_node), dtype=bool)
-        for k, name in enumerate(c.names if self.mesh is not None else ()):
+        for k, name in enumerate(c.names if hasattr(self, "mesh") else ()):
             mine = c.master_boundary == k
             if mine.any():
                 result[mine] = np.isin(c.master_node[mine], self.mesh.boundary_nodes(name))
@@ -473,12 +475,19 @@ class Result:
         return cls(**read_result(path)[0])
 
 
+Result.mesh = made_on_demand("mesh", "The finest mesh.", "this result has no mesh (it comes from a bare "
+                             "DiscreteProblem): its .displacement and .contact need none")
+
+
 @dataclass(frozen=True, eq=False)
 class Resultant:
-    """Force (dim,) in N (2D: N/m) and moment in N m (3D: (3,); 2D: a number, N); None without a mesh."""
+    """Force (dim,) in N (2D: N/m) and moment in N m (3D: (3,); 2D: a number, N); no moment without a mesh."""
 
     force: np.ndarray
-    moment: np.ndarray | float | None
+    moment: np.ndarray | float
+
+
+Resultant.moment = made_on_demand("moment", "N m (2D: N).", "a result without a mesh has forces, but no moments")
 
 
 def label(option: object) -> str:
