@@ -257,7 +257,7 @@ class Hierarchy:
         strength : float
             Drop tolerance of the strength of connection, 0 <= strength < 1.
         max_coarse : int
-            Dofs of the coarsest level at most.
+            Nodes (rows of blocks) of the coarsest level at most.
         """
         from adaptmg.transfer.galerkin import aggregated_prolongations
 
@@ -269,7 +269,7 @@ class Hierarchy:
         found = aggregated_prolongations(discrete.matrix, discrete.near_nullspace, discrete.fixed, strength=strength,
                                          max_coarse=checks.integer("max_coarse", max_coarse, 1))
         if not found:
-            raise ValueError(f"the matrix has {discrete.n_dofs} rows, no more than max_coarse={max_coarse}: there is "
+            raise ValueError(f"the matrix has {discrete.n_nodes} nodes, no more than max_coarse={max_coarse}: there is "
                              "nothing to coarsen; use SingleGrid or ActiveSet, or a smaller max_coarse")
         made = cls.from_prolongations(discrete, found)
         return cls(made.levels, None, "smoothed aggregation", {"transfer": time.perf_counter() - begin})

@@ -422,7 +422,7 @@ class Result:
         of_springs = np.array(self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3)))
         force, turning = of_springs[:self.dim], of_springs[self.dim:]
         turning = turning - moment(about[None], force[None]) + moment(mesh.points[nodes] - about, forces)
-        return Resultant(forces.sum(axis=0) + force, turning if self.dim == 3 else turning[0])
+        return Resultant(forces.sum(axis=0) + force, turning if self.dim == 3 else float(turning[0]))
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
         """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node may have both)."""

@@ -92,7 +92,8 @@ def test_graded_meshes_have_a_node_at_a_point_support_on_a_straight_edge(domain)
 
 def test_a_body_moved_along_the_obstacle_without_a_load_is_solved():
     moved = (am.PointSupport((0, 1), x=1e-5, y=0.0), am.PointSupport((1, 1), y=0.0))
-    problem = replace(on_springs(am.PlaneStress), supports=moved, loads=())
+    problem = replace(on_springs(am.PlaneStress), supports=moved, loads=(), law=am.Coulomb(0.3),
+                      contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))))
     result = am.solve(am.Hierarchy.uniform(problem, (4, 8)))
     np.testing.assert_allclose(result.displacement, [[1e-5, 0.0]] * 81, atol=1e-15)
 
