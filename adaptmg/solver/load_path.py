@@ -276,7 +276,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         loop.replay(k, result)
     if len(results) < len(path):
         warn_of_large_friction(loop.examiner)
-        advise_on_problem(grids.problem, grids.finest.mesh)
+        advise_on_problem(grids.problem, getattr(grids.finest, "mesh", None))
     for k in range(len(results), len(path)):
         result = replace(loop.step(k, progress if callable(progress) else None), choice=choice)
         if progress is True:
