@@ -72,8 +72,8 @@ def boundary_tractions(result: Result, boundary: str) -> BoundaryTractions:
     """
     checks.instance("result", result, Result, "a Result")
     mesh, data = result.mesh, result.stress_data
-    if mesh is None or data is None:
-        raise ValueError("result has no mesh or no materials (it comes from a bare DiscreteProblem): solve on a "
+    if data is None:
+        raise ValueError("result has no materials (it comes from a bare DiscreteProblem): solve on a "
                          "Hierarchy of a ContactProblem")
     facets = mesh.boundary_facets(boundary)
     here = mesh.facet_labels == mesh.boundaries.index(boundary)
