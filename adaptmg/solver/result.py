@@ -274,9 +274,7 @@ class Result:
         """Principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose arguments it takes."""
         return np.linalg.eigvalsh(as_tensors(self.stress(at, recovered=recovered)))[:, ::-1]
 
-    def stresses(self) -> np.ndarray:
-        """Return ``stress("elements")``: the constant stress of each element (n_elements, 6), Pa."""
-        return self.stress()
+    stresses = stress  # the earlier name
 
     @property
     def energy(self) -> float:
