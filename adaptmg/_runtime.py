@@ -250,14 +250,23 @@ class OnDemand:
     make: Callable[[Any], object]  # of the object that has the field; returns the value
 
 
-def made_on_demand(name: str, doc: str) -> property:
-    """A property to put in the place of the field ``name`` of a dataclass, after its class statement. The field keeps
-    its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`. ``dataclasses.replace``
-    reads it: say what the new value is, where it depends on what is replaced."""
+class Absent(AttributeError, ValueError):
+    """Raised where an optional part is read that an object does not have; ``getattr(x, name, None)`` gives None."""
+
+
+def made_on_demand(name: str, doc: str, absent: str = "") -> property:
+    """A property to put in the place of the field ``name`` of a dataclass, after its class statement.
+
+    The field keeps its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`.
+    ``dataclasses.replace`` reads it: say what the new value is, where it depends on what is replaced. With ``absent``,
+    the field may be None, and reading it raises :class:`Absent` with this text.
+    """
     def value(owner: object) -> Any:
         held = owner.__dict__[name]
         if isinstance(held, OnDemand):
             held = owner.__dict__[name] = held.make(owner)
+        if held is None and absent:
+            raise Absent(absent)
         return held
 
     return property(value, lambda owner, given: owner.__dict__.__setitem__(name, given), doc=doc)

@@ -22,6 +22,7 @@ from adaptmg.level import (
     check_coarse_to_fine,
     joined,
     level_of,
+    meshed_domain,
     need_domain,
     reposed,
     the_transfer,
@@ -84,14 +85,14 @@ class Hierarchy:
             checks.instance("problem", self.problem, ContactProblem, "a ContactProblem")
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
             wanted = (fine.n_nodes, coarse.n_nodes)
-            if coarse.discrete is None and coarse.matrix.blocksize[0] == 1:
+            if not hasattr(coarse, "discrete") and coarse.matrix.blocksize[0] == 1:
                 wanted = (fine.matrix.shape[0], coarse.matrix.shape[0])
             for name in ("prolongation", "surface_prolongation"):
-                matrix = getattr(fine, name)
+                matrix = getattr(fine, name, None)
                 if (matrix is None and name == "prolongation") or (matrix is not None and matrix.shape != wanted):
                     got = None if matrix is None else matrix.shape
                     raise ValueError(f"levels[{k}].{name} must have shape {wanted} (fine, coarse), got {got}")
-        if levels[-1].discrete is None:
+        if not hasattr(levels[-1], "discrete"):
             raise ValueError("the finest level has no DiscreteProblem")
         object.__setattr__(self, "levels", levels)
 
@@ -152,9 +153,9 @@ class Hierarchy:
         begin = time.perf_counter()
         from adaptmg.mesh import graded
 
-        need_domain(problem)
+        domain = meshed_domain(problem)
         sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
-        meshes = [graded(problem.domain, size, problem.pair_boundaries, contact_ratio, mesher=mesher)
+        meshes = [graded(domain, size, problem.pair_boundaries, contact_ratio, mesher=mesher)
                   for size in sizes]
         origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
         return cls._build(problem, meshes, transfer, origin, begin, contact_rows)
@@ -246,7 +247,7 @@ class Hierarchy:
         strength : float
             Drop tolerance of the strength of connection, 0 <= strength < 1.
         max_coarse : int
-            Dofs of the coarsest level at most.
+            Nodes (rows of blocks) of the coarsest level at most.
         """
         from adaptmg.transfer.galerkin import aggregated_prolongations
 
@@ -258,7 +259,7 @@ class Hierarchy:
         found = aggregated_prolongations(discrete.matrix, discrete.near_nullspace, discrete.fixed, strength=strength,
                                          max_coarse=checks.integer("max_coarse", max_coarse, 1))
         if not found:
-            raise ValueError(f"the matrix has {discrete.n_dofs} rows, no more than max_coarse={max_coarse}: there is "
+            raise ValueError(f"the matrix has {discrete.n_nodes} nodes, no more than max_coarse={max_coarse}: there is "
                              "nothing to coarsen; use SingleGrid or ActiveSet, or a smaller max_coarse")
         made = cls.from_prolongations(discrete, found)
         return cls(made.levels, None, "smoothed aggregation", {"transfer": time.perf_counter() - begin})
@@ -294,7 +295,7 @@ class Hierarchy:
     @property
     def discretised(self) -> bool:
         """Whether every level poses the contact problem; if not, only ``Truncated`` without nested start can use it."""
-        return all(level.discrete is not None for level in self.levels)
+        return all(hasattr(level, "discrete") for level in self.levels)
 
     def need_discretised(self, what: str) -> None:
         """ValueError unless every level poses the contact problem."""
@@ -308,7 +309,7 @@ class Hierarchy:
         if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
             raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
         first, *rest = self.levels[coarsest:finest + 1]
-        first = Level(first.discrete, first.mesh, galerkin=first.galerkin)
+        first = Level(getattr(first, "discrete", None), getattr(first, "mesh", None), galerkin=first.galerkin)
         return replace(self, levels=(first, *rest), timings=dict(self.timings))
 
     @one_blas_thread()
@@ -394,7 +395,7 @@ class Hierarchy:
         return {name: self.timings.get(name, 0.0) + seconds.get(name, 0.0) for name in {**self.timings, **seconds}}
 
     def _need_meshes(self, what: str) -> None:
-        if self.problem is None or any(level.mesh is None or level.discrete is None for level in self.levels):
+        if self.problem is None or not all(hasattr(one, name) for one in self.levels for name in ("mesh", "discrete")):
             raise ValueError(f"{what}: these levels ({self.origin}) are not made of meshes of a ContactProblem; make "
                              "them with Hierarchy.from_meshes, graded or uniform")
 
@@ -414,7 +415,7 @@ class Hierarchy:
         Mesh ratios take time the first time; ``ratios=False`` leaves those out (NaN) that nobody has asked for.
         """
         return [{"level": k, "nodes": level.n_nodes,
-                 "contact_nodes": 0 if level.discrete is None else len(level.discrete.contact),
+                 "contact_nodes": len(level.discrete.contact) if hasattr(level, "discrete") else 0,
                  "nonzeros": level.matrix.nnz, "mesh_ratio": level.mesh_ratio if ratios else level.known_ratio}
                 for k, level in enumerate(self.levels)]
 

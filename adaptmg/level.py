@@ -19,7 +19,9 @@ from adaptmg._runtime import OnDemand, made_on_demand
 from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import ContactProblem
+from adaptmg.mesh.domains import in_edges
+from adaptmg.problem import Assembly, ContactProblem, Outline, PointSpring, PointSupport, Polygon, Rectangle
+from adaptmg.problem.plane_domains import Domain, with_vertex
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
@@ -31,12 +33,13 @@ class Level:
 
     Attributes
     ----------
-    discrete : DiscreteProblem or None
-        The problem discretised on this grid; None where only a coarse space is known.
-    mesh : MeshArrays or None
-    prolongation : csr_array or None
+    discrete : DiscreteProblem
+        The problem discretised on this grid. Where only a coarse space is known (given as None), reading it raises
+        AttributeError, as reading an absent mesh or prolongation does; ``getattr(level, "mesh", None)`` asks.
+    mesh : MeshArrays
+    prolongation : csr_array
         Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse spaces, its dofs
-        (n_dofs, n_dofs coarse); None on the coarsest.
+        (n_dofs, n_dofs coarse); the coarsest level has none.
     mesh_ratio : float
         Largest local ratio of mesh sizes, next coarser over this; NaN if unknown. Found when first read.
     galerkin : bsr_array or None
@@ -52,16 +55,18 @@ class Level:
     (25, 9)
     """
 
-    discrete: DiscreteProblem | None
-    mesh: MeshArrays | None = None
-    prolongation: sparse.csr_array | None = None
+    # the first three may be given as None; they are properties that say what is absent (below the class)
+    discrete: DiscreteProblem
+    mesh: MeshArrays = None
+    prolongation: sparse.csr_array = None
     mesh_ratio: float = float("nan")
     galerkin: sparse.bsr_array | None = None
     surface_prolongation: sparse.csr_array | None = None
 
     def __post_init__(self) -> None:
-        if self.discrete is not None:
-            checks.instance("discrete", self.discrete, DiscreteProblem, "a DiscreteProblem or None")
+        discrete, mesh = getattr(self, "discrete", None), getattr(self, "mesh", None)
+        if discrete is not None:
+            checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem or None")
         elif not (sparse.issparse(self.galerkin) and self.galerkin.format == "bsr"):
             raise TypeError("galerkin must be a bsr_array without a discrete problem, got "
                             f"{checks.described(self.galerkin)}")
@@ -70,10 +75,10 @@ class Level:
             if rows != columns:
                 raise ValueError(f"galerkin must be square, got {(rows, columns)}")
             object.__setattr__(self, "galerkin", indices_frozen(self.galerkin))
-        if self.mesh is not None:
-            checks.instance("mesh", self.mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts")
+        if mesh is not None:
+            checks.instance("mesh", mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts")
         for name in ("prolongation", "surface_prolongation"):
-            value = getattr(self, name)
+            value = getattr(self, name, None)
             if value is not None:
                 value = check_arrays.sparse_matrix(name, value)
                 as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
@@ -102,7 +107,7 @@ class Level:
     @property
     def matrix(self) -> sparse.bsr_array:
         """The discretised matrix, or the Galerkin one of a coarse space."""
-        return self.galerkin if self.discrete is None else self.discrete.matrix
+        return self.galerkin if getattr(self, "discrete", None) is None else self.discrete.matrix
 
     @property
     def n_nodes(self) -> int:
@@ -110,6 +115,11 @@ class Level:
         return self.matrix.shape[0] // self.matrix.blocksize[0]
 
 
+Level.discrete = made_on_demand("discrete", "The problem discretised on this grid.",
+                                "this level is only a coarse space, without a discrete problem")
+Level.mesh = made_on_demand("mesh", "Its MeshArrays.", "this level has no mesh: it comes from matrices")
+Level.prolongation = made_on_demand("prolongation", "From the next coarser level.",
+                                    "the coarsest level has no prolongation")
 Level.mesh_ratio = made_on_demand("mesh_ratio", "Largest local ratio of mesh sizes, next coarser over this; or NaN.")
 
 
@@ -167,6 +177,22 @@ def need_domain(problem: ContactProblem) -> None:
     checks.instance("problem", problem, ContactProblem, "a ContactProblem")
     if problem.domain is None:
         raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
+
+
+def meshed_domain(problem: ContactProblem) -> Domain:
+    """The domain of a problem, with a vertex where a point support or spring lies on a straight plane edge."""
+    def cut(domain: Domain, body: str | None) -> Domain:
+        for one in problem.supports:
+            if isinstance(one, PointSupport | PointSpring) and body in (None, one.body or body):
+                edges = in_edges(domain)
+                found = with_vertex(edges, one.point) if isinstance(edges, Rectangle | Polygon | Outline) else edges
+                domain = domain if found is edges else found
+        return domain
+
+    need_domain(problem)
+    if isinstance(problem.domain, Assembly):
+        return replace(problem.domain, parts={name: cut(part, name) for name, part in problem.domain.parts.items()})
+    return cut(problem.domain, None)
 
 
 def check_coarse_to_fine(meshes: Sequence[MeshArrays]) -> None:

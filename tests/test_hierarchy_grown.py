@@ -20,7 +20,7 @@ def same(a: am.Hierarchy, b: am.Hierarchy) -> bool:
         return x.shape == y.shape and (x != y).nnz == 0 and np.array_equal(x.data, y.data)
 
     return len(a) == len(b) and all(
-        equal(p.matrix, q.matrix) and equal(p.prolongation, q.prolongation)
+        equal(p.matrix, q.matrix) and equal(*(getattr(one, "prolongation", None) for one in (p, q)))
         and equal(p.surface_prolongation, q.surface_prolongation) and np.array_equal(p.discrete.load, q.discrete.load)
         for p, q in zip(a.levels, b.levels, strict=True))
 

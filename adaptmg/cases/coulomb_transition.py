@@ -164,8 +164,6 @@ class TransitionField:
         from adaptmg.geometry.quadrature import quadrature_points, simplex_rule
 
         mesh = result.mesh
-        if mesh is None:
-            raise ValueError("result has no mesh: solve on a Hierarchy of the case")
         rule, weights = simplex_rule(2, points)
         at = quadrature_points(mesh.points, mesh.elements, rule)
         gradient = self.gradient(at.reshape(-1, 2)).reshape(*at.shape, 2)

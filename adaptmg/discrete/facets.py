@@ -55,8 +55,8 @@ def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -
     if not len(near):
         nearest = mesh.points[nodes[np.argmin(away)]]
         raise ValueError(f"{text}: no node of the mesh lies there, the nearest one {away.min():.3g} m away at "
-                         f"{tuple(nearest.tolist())}. Meshes have a node at each vertex of a Polygon or Outline: cut "
-                         "an edge in two there")
+                         f"{tuple(nearest.tolist())}. Graded meshes of plane domains have a node at any point of a "
+                         "straight edge; otherwise take a point that is a node of every mesh")
     if len(near) > 1:
         raise ValueError(f"{text}: {len(near)} nodes lie there, of bodies that touch: say body=...")
     return int(near[0])

@@ -17,6 +17,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.estimate.estimate import Estimate
+from adaptmg.level import meshed_domain
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection import check_marked
 from adaptmg.mesh.bisection.coarsen import coarsened
@@ -78,7 +79,7 @@ class Bisect:
 
     def first(self, problem: ContactProblem, size: float) -> MeshArrays | None:
         """The mesh to begin with, of a given element size, m: regular; None for domains that have no such mesh."""
-        domain = problem.domain
+        domain = meshed_domain(problem)
         parts = domain.parts if isinstance(domain, Assembly) else {"": domain}
         if not all(isinstance(part, Rectangle | Box) for part in parts.values()):
             return None

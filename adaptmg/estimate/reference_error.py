@@ -111,9 +111,6 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     checks.instance("reference", reference, Reference, "a Reference, or a hierarchy and a result on it")
     checks.instance("result", result, Result, "a Result")
     mesh = result.mesh
-    if mesh is None:
-        raise ValueError("result has no mesh (it comes from a bare DiscreteProblem): solve on a Hierarchy of a "
-                         "ContactProblem")
     if set(mesh.bodies) != set(reference.points):
         raise ValueError(f"result has the bodies {', '.join(mesh.bodies)}, the reference "
                          f"{', '.join(reference.points)}: give results of one problem")

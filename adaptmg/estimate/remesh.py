@@ -30,6 +30,7 @@ from adaptmg._runtime import kernel
 from adaptmg.discrete.recovery import elements_of_nodes
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.geometry.location import SimplexLocator
+from adaptmg.level import meshed_domain
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
 
@@ -137,8 +138,8 @@ class Remesh:
         # a plane mesh that Netgen makes whole is finer than the places of the old nodes
         samples = field.samples(dense=field.mesh.dim == 2 and self.refinements == 0)
         sizes = {body: PointSizes(*sample) for body, sample in samples.items()}
-        return resized(problem.domain, sizes if len(sizes) > 1 else sizes.popitem()[1], refinements=self.refinements,
-                       grading=self._growth(field.mesh.dim) * 2**self.refinements)
+        return resized(meshed_domain(problem), sizes if len(sizes) > 1 else sizes.popitem()[1],
+                       refinements=self.refinements, grading=self._growth(field.mesh.dim) * 2**self.refinements)
 
 
 def need_domain(problem: ContactProblem) -> None:

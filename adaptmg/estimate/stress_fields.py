@@ -283,14 +283,10 @@ def posed(hierarchy: Hierarchy, result: Result) -> Posed:
     """A result on the finest mesh of a hierarchy, checked to belong to it."""
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
     checks.instance("result", result, Result, "a Result")
-    mesh, discrete = hierarchy.finest.mesh, hierarchy.finest.discrete
-    if hierarchy.problem is None or mesh is None:
+    if hierarchy.problem is None or not hasattr(hierarchy.finest, "mesh"):
         raise ValueError("hierarchy has no ContactProblem or no mesh (it comes from matrices): make it by "
                          "Hierarchy.uniform, graded or from_meshes")
-    if result.mesh is None:
-        raise ValueError("result has no mesh (it comes from a bare DiscreteProblem): solve on a Hierarchy of a "
-                         "ContactProblem")
-    own = result.mesh
+    mesh, discrete, own = hierarchy.finest.mesh, hierarchy.finest.discrete, result.mesh
     if own is not mesh and not (np.array_equal(own.elements, mesh.elements)
                                 and np.array_equal(own.points, mesh.points)):
         raise ValueError(f"result is of another mesh ({own.n_nodes} nodes) than the finest of hierarchy "
@@ -345,8 +341,8 @@ def boundary_tractions(result: Result, boundary: str) -> BoundaryTractions:
     """
     checks.instance("result", result, Result, "a Result")
     mesh, data = result.mesh, result.stress_data
-    if mesh is None or data is None:
-        raise ValueError("result has no mesh or no materials (it comes from a bare DiscreteProblem): solve on a "
+    if data is None:
+        raise ValueError("result has no materials (it comes from a bare DiscreteProblem): solve on a "
                          "Hierarchy of a ContactProblem")
     facets = mesh.boundary_facets(boundary)
     here = mesh.facet_labels == mesh.boundaries.index(boundary)

@@ -121,9 +121,7 @@ def _collection(names: Sequence[str], times: np.ndarray) -> bytes:
 
 def _document(result: Result) -> bytes:
     """The whole file."""
-    if checks.instance("result", result, Result).mesh is None:
-        raise ValueError("this result has no mesh to write (it comes from a bare DiscreteProblem)")
-    mesh = result.mesh
+    mesh = checks.instance("result", result, Result).mesh
     elements = np.ascontiguousarray(mesh.elements, dtype=np.int64)
     cells: dict[str, np.ndarray] = {"body": mesh.element_body}
     if result.stress_data is not None:

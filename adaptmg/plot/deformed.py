@@ -70,8 +70,7 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     >>> len(am.plot.deformation(result, amplify=10, stress=True).axes)  # with a colour bar
     2
     """
-    if checks.instance("result", result, Result).mesh is None:
-        raise ValueError("this result has no mesh to draw (it comes from a bare DiscreteProblem)")
+    _ = checks.instance("result", result, Result).mesh  # which raises without one
     coloring = _coloring(result, stress, displacement)
     factor = _automatic_factor(result) if amplify is None else checks.nonnegative("amplify", amplify)
     scene = _scene(result, factor, bodies, window, coloring)

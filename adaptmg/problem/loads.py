@@ -242,7 +242,7 @@ class PointSupport(_Prescribes, _AtPoint):
     Parameters
     ----------
     point : sequence of float
-        m. Every mesh must have a node there, as it has at each vertex of a Polygon or Outline.
+        m. Every mesh must have a node there: graded meshes of plane domains do at points of straight edges.
     x, y, z : float, callable or None
         Prescribed displacement, m.
     body : str, optional
@@ -289,7 +289,7 @@ class PointSpring(_AtPoint):
     Parameters
     ----------
     point : sequence of float
-        m. Every mesh must have a node there, as it has at each vertex of a Polygon or Outline.
+        m. Every mesh must have a node there: graded meshes of plane domains do at points of straight edges.
     x, y, z : float
         Stiffness, N/m (plane: per metre of thickness; axisymmetric: of the full circumference), >= 0.
     body : str, optional

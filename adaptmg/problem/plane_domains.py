@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import ClassVar
 
@@ -153,6 +153,25 @@ def _area(vertices: tuple[tuple[float, float], ...], bulges: float = 0.0, hole: 
     if not hole and not area > 0:
         raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of {area}")
     return area
+
+
+def with_vertex(domain: Rectangle | Polygon | Outline, point: tuple[float, ...]) -> Rectangle | Polygon | Outline:
+    """The domain with a vertex at a point of a straight edge; itself where the point lies elsewhere."""
+    shape = domain.polygon if isinstance(domain, Rectangle) else domain
+    arcs = shape.arcs if isinstance(shape, Outline) else {}
+    start, near = np.array(shape.vertices), 1e-9 * float((domain.upper - domain.lower).max())
+    end = start[shape.following] if isinstance(shape, Outline) else np.roll(start, -1, axis=0)
+    away = np.array([np.inf if i in arcs else distance_to_segments(np.array([point]), a, b)[0]
+                     for i, (a, b) in enumerate(zip(start, end, strict=True))])
+    i = int(np.argmin(away))
+    if away[i] > near or np.linalg.norm(start - point, axis=1).min() <= near:
+        return domain
+    result = {"vertices": (*shape.vertices[:i + 1], point, *shape.vertices[i + 1:]),
+              "boundaries": (*shape.boundaries[:i + 1], *shape.boundaries[i:])}
+    if isinstance(shape, Outline):
+        result |= {"arcs": {k + (k > i): centre for k, centre in arcs.items()},
+                   "holes": tuple(k + (k > i) for k in shape.holes)}
+    return replace(shape, **result)
 
 
 def distance_to_segments(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -86,7 +86,7 @@ def advise_on_result(problem: ContactProblem | None, result: Result, contact: bo
         return
     if contact:
         _advise_on_contact([result])
-    if problem is not None and result.mesh is not None:
+    if problem is not None and hasattr(result, "mesh"):
         _advise_on_strains(problem, result.mesh, result)
         _advise_on_slips(problem, result.mesh, result)
 

@@ -256,8 +256,8 @@ class Evidence:
         size, slip = np.linalg.norm(self.friction, axis=1), np.linalg.norm(self.slip, axis=1)
         along = np.einsum("nd,nd->n", self.friction, self.slip)
         excess, works = np.maximum(size - self.bound, 0.0), np.maximum(self.bound * slip + along, 0.0)
-        # weighted by the force: open nodes slip freely, under a force of rounding
-        same_way = np.maximum(along, 0.0) / (self.force or 1.0)
+        # weighted by the force: open nodes slip freely, under a force of rounding, which has no direction
+        same_way = np.maximum(along - self.rounding * slip * self.idle, 0.0) / (self.force or 1.0)
         return (self._forces("friction bound", excess), self._works("slip direction", works, self.bound.sum()),
                 self._lengths("slip along the force", same_way))
 

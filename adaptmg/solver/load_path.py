@@ -184,7 +184,7 @@ def _results(store: StepStore, steps: int) -> tuple[Result, ...]:
     if len(results) > steps:
         raise ValueError(f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
                          "remove it")
-    return tuple(replace(result, mesh=results[0].mesh) for result in results)
+    return tuple(replace(result, mesh=getattr(results[0], "mesh", None)) for result in results)
 
 
 class StepNotConverged(NotConverged):
@@ -269,7 +269,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         loop.replay(k, result)
     if len(results) < len(path):
         warn_of_large_friction(loop.examiner)
-        advise_on_problem(grids.problem, grids.finest.mesh)
+        advise_on_problem(grids.problem, getattr(grids.finest, "mesh", None))
     for k in range(len(results), len(path)):
         result = replace(loop.step(k, progress if callable(progress) else None), choice=choice)
         if progress is True:
@@ -397,7 +397,7 @@ class PathLoop:
                           float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0)
         result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
         # all forces vanish: a relative residual would be rounding over nothing
-        return replace(result, status=Status.CONVERGED, residual=0.0)
+        return replace(result, status=Status.CONVERGED, residual=0.0, mesh=getattr(result, "mesh", None))
 
     def _posed(self, k: int) -> Hierarchy:
         """The hierarchy with loads, prescribed values and slip references of a step."""
@@ -436,13 +436,13 @@ class PathLoop:
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
-    known = all(level.mesh is not None for level in grids.levels if level.discrete is not None)
+    known = all(hasattr(level, "mesh") for level in grids.levels if hasattr(level, "discrete"))
     return grids.problem if known else None
 
 
 def _loads(grids: Hierarchy) -> list[LoadSteps | None]:
     """Loads and supports one by one on each level; None where a level is only a space."""
     named = _problem_with_names(grids) is not None
-    return [None if level.discrete is None
+    return [None if not hasattr(level, "discrete")
             else load_steps(grids.problem, level.mesh, level.discrete) if named else whole_load(level.discrete)
             for level in grids.levels]

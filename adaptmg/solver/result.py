@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._runtime import made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.loads import moment
@@ -77,8 +78,9 @@ class Result:
         The method that took over where the solver did not converge, and from which cycle; empty if none did.
     choice : str
         Why the solver was taken, where :func:`adaptmg.solve` chose one for one mesh; else empty.
-    mesh : MeshArrays or None
-        Finest mesh (without its NGSolve source after loading).
+    mesh : MeshArrays
+        Finest mesh (without its NGSolve source after loading); AttributeError if the result comes from a bare
+        DiscreteProblem.
     start_work_units : float
         The part of ``work_units`` spent before the first cycle on the finest level (nested start).
     versions : dict of str to str
@@ -120,7 +122,7 @@ class Result:
     levels: list[dict[str, float]]
     problem_name: str
     solver_name: str
-    mesh: MeshArrays | None = None
+    mesh: MeshArrays = None  # a property below the class says where it is absent
     start_work_units: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     stress_data: StressData | None = None
@@ -152,7 +154,7 @@ class Result:
         return shortened(str(self))
 
     def _repr_html_(self) -> str:
-        return in_html_lines(str(self)) + ("" if self.mesh is None else html_table(self.pairs()))
+        return in_html_lines(str(self)) + (html_table(self.pairs()) if hasattr(self, "mesh") else "")
 
     def __str__(self) -> str:
         states = self.contact.counts()
@@ -193,13 +195,12 @@ class Result:
     def _located(self, points: ArrayLike) -> Location:
         from adaptmg.transfer import PointLocator
 
-        if self.mesh is None:
-            raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .displacement")
+        mesh = self.mesh
         if getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points))):
             points = [points]  # one point
-        points = check_arrays.array("points", points, (None, self.dim))
-        found = PointLocator(self.mesh).locate(points)
-        outside = found.distance > 1e-6 * self.mesh.element_sizes[found.element]
+        points = check_arrays.array("points", points, (None, mesh.dim))
+        found = PointLocator(mesh).locate(points)
+        outside = found.distance > 1e-6 * mesh.element_sizes[found.element]
         if outside.any():
             i = int(np.argmax(outside))
             raise ValueError(f"point {i} {points[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
@@ -243,9 +244,7 @@ class Result:
         """Principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose arguments it takes."""
         return np.linalg.eigvalsh(as_tensors(self.stress(at, recovered=recovered)))[:, ::-1]
 
-    def stresses(self) -> np.ndarray:
-        """Return ``stress("elements")``: the constant stress of each element (n_elements, 6), Pa."""
-        return self.stress()
+    stresses = stress  # the earlier name
 
     @property
     def energy(self) -> float:
@@ -341,7 +340,7 @@ class Result:
         return getattr(adaptmg.plot, checks.choice("kind", kind, ("deformation", "contact", "history")))(self)
 
     def _data(self) -> StressData:
-        if self.mesh is None or self.stress_data is None:
+        if self.stress_data is None or not hasattr(self, "mesh"):
             raise ValueError("this result has no materials to compute stresses from (it comes from a bare "
                              "DiscreteProblem): replace its mesh and stress_data=StressData.of(mesh, material)")
         return self.stress_data
@@ -372,16 +371,17 @@ class Result:
         to the lever between the two discrete surfaces: 1e-8 to 1e-4 of force times size on curved ones, across whose
         gap the mortar transmits each force without regard to its arm.
         """
-        at_point = boundary in self.springs and boundary not in self.mesh.boundaries
+        mesh = getattr(self, "mesh", None)
+        at_point = boundary in self.springs and boundary not in mesh.boundaries
         nodes, forces = (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)
-        if self.mesh is None:
+        if mesh is None:
             return Resultant(forces.sum(axis=0), None)
         about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
         touches = boundary in ("contact", *self.contact.names, *self.contact.masters)
         of_springs = np.array(self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3)))
         force, turning = of_springs[:self.dim], of_springs[self.dim:]
-        turning = turning - moment(about[None], force[None]) + moment(self.mesh.points[nodes] - about, forces)
-        return Resultant(forces.sum(axis=0) + force, turning if self.dim == 3 else turning[0])
+        turning = turning - moment(about[None], force[None]) + moment(mesh.points[nodes] - about, forces)
+        return Resultant(forces.sum(axis=0) + force, turning if self.dim == 3 else float(turning[0]))
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
         """Nodes and the forces on them: of contact, or elsewhere of supports alone (a corner node may have both)."""
@@ -391,10 +391,10 @@ class Result:
         master = np.array([boundary == name != "" for name in c.masters])
         if slave.any() or master.any():
             own = slave[c.boundary]
-            others = np.where(c.on_slaves(self.mesh), slave[c.master_boundary], master[c.master_boundary])
+            others = np.where(c.on_slaves(getattr(self, "mesh", None)), slave[c.master_boundary], master[c.master_boundary])
             return (np.concatenate([c.node[own], c.master_node[others]]),
                     np.concatenate([c.force[own], c.master_force[others]]))
-        if self.mesh is None:
+        if not hasattr(self, "mesh"):
             raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {c.names}")
         nodes, of_contact = self.mesh.boundary_nodes(boundary), np.zeros_like(self.reaction)
         of_contact[c.node] = c.force
@@ -424,12 +424,19 @@ class Result:
         return cls(**read_result(path)[0])
 
 
+Result.mesh = made_on_demand("mesh", "The finest mesh.", "this result has no mesh (it comes from a bare "
+                             "DiscreteProblem): its .displacement and .contact need none")
+
+
 @dataclass(frozen=True, eq=False)
 class Resultant:
-    """Force (dim,) in N (2D: N/m) and moment in N m (3D: (3,); 2D: a number, N); None without a mesh."""
+    """Force (dim,) in N (2D: N/m) and moment in N m (3D: (3,); 2D: a number, N); no moment without a mesh."""
 
     force: np.ndarray
-    moment: np.ndarray | float | None
+    moment: np.ndarray | float
+
+
+Resultant.moment = made_on_demand("moment", "N m (2D: N).", "a result without a mesh has forces, but no moments")
 
 
 def label(option: object) -> str:

@@ -73,7 +73,7 @@ def write_result(path: str | os.PathLike[str], result: Saved, part_of: Mapping[s
                  more: Mapping[str, np.ndarray] | None = None) -> None:
     """Write a result, whole or not at all; a step of a store says in ``part_of`` what it belongs to."""
     target = checks.file_path("path", path)
-    groups = {"contact": result.contact, "mesh": result.mesh, "stress": result.stress_data}
+    groups = {"contact": result.contact, "mesh": getattr(result, "mesh", None), "stress": result.stress_data}
     arrays = {}
     for name in _SHAPES:
         group, _, field = name.rpartition(".")

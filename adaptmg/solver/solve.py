@@ -103,12 +103,12 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         run.examiner = examiner = Examiner(discrete)
         warn_of_large_friction(examiner)
         warn_of_several_solutions(grids)
-        advise_on_problem(grids.problem, grids.finest.mesh)
+        advise_on_problem(grids.problem, getattr(grids.finest, "mesh", None))
     outcome = checked_outcome(solver.run(grids, run, first), solver, discrete)
     with run.phase("result"):
-        posed, mesh = grids.problem, grids.finest.mesh
+        posed, mesh = grids.problem, getattr(grids.finest, "mesh", None)
         stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
-        result = replace(result_of(grids, examiner, run, outcome, solver, stress_data), choice=choice)
+        result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
         advise_on_result(posed, result)
     _LOG.info("%s, %d nodes: %s after %d cycles, %.1f work units and %.3g s (%s)", result.problem_name,
               discrete.n_nodes, result.status.name, result.cycles, result.work_units, result.seconds, result.method)
@@ -157,7 +157,7 @@ def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy,
     if n_dofs > FACTORISED[level.discrete.dim]:
         with suppress(ValueError):  # nothing to coarsen
             made = Hierarchy.algebraic(level.discrete)
-            levels = (*made.levels[:-1], replace(made.finest, mesh=level.mesh))
+            levels = (*made.levels[:-1], replace(made.finest, mesh=getattr(level, "mesh", None)))
             made = replace(made, levels=levels, problem=grids.problem)
             return made, Multigrid(), why + "multigrid on coarse spaces made from its matrix"
     return grids, ActiveSet(), why + "the active set method"
@@ -207,11 +207,12 @@ def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) 
 
 
 def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, solver: Solver,
-              stress_data: StressData | None) -> Result:
+              stress_data: StressData | None, choice: str = "") -> Result:
     """The Result on the finest level; the certificate and the natural residual confirm the status."""
     with run.phase("certificate"):
         found = examiner(outcome.displacement)
-    mesh, bare = grids.finest.mesh, grids.problem is None or grids.finest.mesh is None
+    mesh = getattr(grids.finest, "mesh", None)
+    bare = grids.problem is None or mesh is None
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
     return Result(displacement=found.displacement, reaction=found.reaction, checked=found.checked,
@@ -223,7 +224,7 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
                   problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
-                  mesh=mesh,
+                  choice=choice, mesh=mesh,
                   start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data,
                   supports={} if bare else held_components(mesh, grids.problem.supports),
                   springs={} if bare else spring_resultants(mesh, grids.problem.supports, found.displacement,

@@ -280,7 +280,7 @@ class TruncatedRun:
             levels = galerkin_levels(hierarchy, prolongations)
             self.cycle = LinearCycle(levels, prolongations, run, parts.sweeps(levels), parts.coarse_solve,
                                      parts.coarse_smoother)
-        self.problems: list[DiscreteProblem | None] = [level.discrete for level in hierarchy.levels]
+        self.problems: list[DiscreteProblem | None] = [getattr(level, "discrete", None) for level in hierarchy.levels]
 
     def from_given(self, start: np.ndarray | None, first_rate: float | None = None) -> Outcome:
         """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero. ``first_rate``: the start is

@@ -228,7 +228,7 @@ def aggregated_prolongations(matrix: sparse.bsr_array, near_nullspace: np.ndarra
     """Prolongations of dofs by smoothed aggregation (Vanek, Mandel, Brezina 1996, doi:10.1007/BF02238511).
 
     Coarse to fine, (n_dofs, n_dofs coarse) each, none if the matrix is small. Without modes the translations are taken;
-    ``strength`` is the drop tolerance of the strength of connection, ``max_coarse`` bounds the dofs of the coarsest
+    ``strength`` is the drop tolerance of the strength of connection, ``max_coarse`` bounds the nodes of the coarsest
     level.
     """
     import pyamg

@@ -78,6 +78,24 @@ def test_a_point_support_holds_one_node_and_symmetry_one_component():
     assert path[0].reaction[:, 1].sum() == pytest.approx(PRESSURE)
 
 
+@pytest.mark.parametrize("domain", [
+    am.Rectangle(width=1, height=1), am.Cut(am.Rectangle(width=1, height=1), am.Circle((0.5, 0.5), 0.2, "hole"))])
+def test_graded_meshes_have_a_node_at_a_point_support_on_a_straight_edge(domain):
+    held = (am.PointSupport((0.37, 1.0), x=0.0), am.PointSpring((1.0, 0.61), x=1.0), am.PointSupport((0.0, 1.0), x=0.0))
+    problem = replace(on_springs(am.PlaneStress), domain=domain, supports=held)
+    mesh = am.Hierarchy.graded(problem, [0.3]).finest.mesh
+    assert all(np.linalg.norm(mesh.points - one.point, axis=1).min() < 1e-12 for one in held)
+    assert mesh.boundaries == tuple(dict.fromkeys(domain.boundaries))
+
+
+def test_a_body_moved_along_the_obstacle_without_a_load_is_solved():
+    moved = (am.PointSupport((0, 1), x=1e-5, y=0.0), am.PointSupport((1, 1), y=0.0))
+    problem = replace(on_springs(am.PlaneStress), supports=moved, loads=(), law=am.Coulomb(0.3),
+                      contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))))
+    result = am.solve(am.Hierarchy.uniform(problem, (4, 8)))
+    np.testing.assert_allclose(result.displacement, [[1e-5, 0.0]] * 81, atol=1e-15)
+
+
 @pytest.mark.parametrize(("make", "message"), [
     (lambda: am.Spring("foot"), "has no stiffness: give normal or tangential"),
     (lambda: am.Spring("foot", normal=-1.0), "normal must be >= 0"),

@@ -26,6 +26,8 @@ def solve() -> float:
         print(result.status.name, result.history["residual"][-1], result.certificate().energy_error)
     result = am.solve(grids, am.FullMultigrid(rtol=1e-6))
     am.export.vtk(result, "block.vtu")
+    moved = result.displacement[result.mesh.boundary_nodes("left")] + result.resultant("left").moment
+    print(grids.finest.discrete.matrix.nnz, grids[1].prolongation.nnz, grids[0].mesh.points.max(), moved)
     print(result.probe([(0.1, 0.2)]), result.resultant("bottom").force, result.von_mises().max())
     steps = am.solve_path(grids, am.LoadPath({"top": [0.5, 1.0]}))
     am.plot.load_history(list(steps), [0.5, 1.0], {"p": lambda step: step.contact.pressure.max()})
