@@ -94,15 +94,16 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     materials = body_materials(mesh, material)
     _check_numbers(mesh)
     dim = mesh.dim
-    indptr, indices = _pattern(mesh.elements, mesh.n_nodes)
+    indptr, indices, *of_nodes = _pattern(mesh.elements, mesh.n_nodes)
     # not np.zeros: its pages are mapped one by one while they are written, several times slower
     data = np.full((len(indices), dim, dim), 0.0)
     arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
     if is_axisymmetric(materials):
         bad = add_axisymmetric(*arguments, *quadrature_rule(3, AXISYMMETRIC_DEGREE), indptr, indices, data)
+    elif dim == 2:
+        bad = add_plane(*arguments, indptr, indices, data)
     else:
-        add = add_plane if dim == 2 else add_solid
-        bad = add(*arguments, indptr, indices, data)
+        bad = add_solid(*arguments, *of_nodes, indptr, indices, data)
     if bad >= 0:
         raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
                          "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
@@ -114,15 +115,15 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     return matrix
 
 
-def _pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Row pointers and sorted columns of the nodal matrix."""
+def _pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Row pointers and sorted columns of the nodal matrix; pointers to the elements of each node, and these."""
     start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
     marker, indptr = np.full(n_nodes, -1, dtype=np.int32), np.empty(n_nodes + 1, dtype=np.int64)
     count_neighbours(elements, start, listed, marker, indptr)
     indices = np.empty(indptr[-1], dtype=np.int32)
     marker[:] = -1
     fill_neighbours(elements, start, listed, marker, indptr[:-1].copy(), indices)
-    return indptr, indices
+    return indptr, indices, start, listed
 
 
 def _check_numbers(mesh: MeshArrays) -> None:
@@ -268,27 +269,52 @@ def add_plane(points, elements, body, lame, shear, indptr, indices, data):
 
 
 @kernel
-def add_solid(points, elements, body, lame, shear, indptr, indices, data):
-    """Add the element matrices of solid elasticity; ``lame`` and ``shear`` are those of the bodies."""
-    g = np.empty((4, 3))
+def add_solid(points, elements, body, lame, shear, start, listed, indptr, indices, data):
+    """Add the element matrices of solid elasticity, row by row; ``lame`` and ``shear`` are those of the bodies.
+
+    ``listed`` are the elements of each node. Both halves of the matrix are written when the row of the smaller node is
+    summed: the blocks of a row and those of its transpose come from the elements in the same order.
+    """
+    g, of = np.empty((len(elements), 4, 3)), np.empty((len(elements), 2))
     for e in range(len(elements)):
-        volume = solid_gradients(points, elements[e], g)
+        volume = solid_gradients(points, elements[e], g[e])
         if not volume > 0.0:
             return e
-        first, mu = volume * lame[body[e]], volume * shear[body[e]]
-        for a in range(4):
-            for b in range(a, 4):
-                dot = mu * (g[a, 0] * g[b, 0] + g[a, 1] * g[b, 1] + g[a, 2] * g[b, 2])
-                here = _position(indptr, indices, elements[e, a], elements[e, b])
-                there = _position(indptr, indices, elements[e, b], elements[e, a])
-                for i in range(3):
-                    for j in range(3):
-                        value = first * (g[a, i] * g[b, j]) + mu * (g[a, j] * g[b, i])
-                        if i == j:
-                            value += dot
-                        data[here, i, j] += value
-                        if a != b:
-                            data[there, j, i] += value
+        of[e, 0], of[e, 1] = volume * lame[body[e]], volume * shear[body[e]]
+    slot, next_in = np.empty(len(points), dtype=np.int64), indptr[:-1].copy()
+    for i in range(len(points)):
+        for at in range(indptr[i], indptr[i + 1]):
+            slot[indices[at]] = at
+        for k in range(start[i], start[i + 1]):
+            e = listed[k]
+            corners, first, mu = elements[e], of[e, 0], of[e, 1]
+            a = 0
+            while corners[a] != i:
+                a += 1
+            x, y, z = g[e, a, 0], g[e, a, 1], g[e, a, 2]
+            for b in range(4):
+                if corners[b] < i:
+                    continue
+                u, v, w = g[e, b, 0], g[e, b, 1], g[e, b, 2]
+                block, dot = data[slot[corners[b]]], mu * (x * u + y * v + z * w)
+                block[0, 0] += first * (x * u) + mu * (x * u) + dot
+                block[0, 1] += first * (x * v) + mu * (y * u)
+                block[0, 2] += first * (x * w) + mu * (z * u)
+                block[1, 0] += first * (y * u) + mu * (x * v)
+                block[1, 1] += first * (y * v) + mu * (y * v) + dot
+                block[1, 2] += first * (y * w) + mu * (z * v)
+                block[2, 0] += first * (z * u) + mu * (x * w)
+                block[2, 1] += first * (z * v) + mu * (y * w)
+                block[2, 2] += first * (z * w) + mu * (z * w) + dot
+        # rows are sorted: the transposes arrive in the order of their columns
+        for at in range(indptr[i], indptr[i + 1]):
+            j = indices[at]
+            if j > i:
+                there = next_in[j]
+                next_in[j] += 1
+                for k in range(3):
+                    for m in range(3):
+                        data[there, m, k] = data[at, k, m]
     return -1
 
 

@@ -7,28 +7,24 @@ node projected onto what a contact status lets move, the coarse matrix is :math:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse.linalg import splu
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from adaptmg._runtime import kernel
+from adaptmg._runtime import kernel, remembered
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, times, write
 
-__all__ = ["Aggregates", "CoarseMatrix"]
+__all__ = ["Aggregates", "CoarseMatrix", "aggregates_of"]
 
 #: nodes of an aggregate and its depth in the graph, by dimension; beyond the number of nodes in the
 #: middle the number of aggregates, which bounds the cost of the coarse matrix
 _SIZE, _MANY, _MOST = {2: (64, 4), 3: (80, 3)}, 100_000, {2: 1800, 3: 500}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
-#: unknowns up to which a coarse matrix is dense
-_DENSE = 600
-#: orders of sparse factorisations that fill little, by dimension, measured
-_ORDER = {2: "MMD_AT_PLUS_A", 3: "COLAMD"}
 #: of the diagonal, added to it: a status may take motions from an aggregate
 _SHIFT = 1e-10
 
@@ -175,6 +171,25 @@ class Aggregates:
         given = matrix.indptr, matrix.indices, self.label, self.order, self.starts, self.indptr
         self.indices = np.empty(_pattern(*given, np.empty(0, dtype=np.int32)), dtype=np.int32)
         _pattern(*given, self.indices)
+        self._number_entries(count, 3 * dim - 3)
+
+    def _number_entries(self, count: int, modes: int) -> None:
+        """Order the unknowns so that the coarse matrix has a narrow band, and number the entries in it."""
+        graph = sparse.csr_array((np.ones(len(self.indices), dtype=np.int8), self.indices, self.indptr),
+                                 shape=(count, count))
+        order = reverse_cuthill_mckee(graph) if count else np.empty(0, dtype=np.int32)
+        place = np.empty(count, dtype=np.int64)
+        place[order] = modes * np.arange(count)
+        within = np.arange(modes)
+        self.unknowns = (modes * order.astype(np.int64)[:, None] + within).reshape(-1)
+        row = place[np.repeat(np.arange(count), np.diff(self.indptr))][:, None, None] + within[:, None]
+        column = place[self.indices][:, None, None] + within
+        below = np.abs(row - column)
+        self.band = int(below.max(initial=0)) + 1
+        self.entries = (below * (count * modes) + np.minimum(row, column)).reshape(-1)
+
+
+aggregates_of = remembered(Aggregates)
 
 
 @in_loop
@@ -267,7 +282,7 @@ class CoarseMatrix:
 
     def __init__(self, aggregates: Aggregates, matrix: sparse.bsr_array, diagonal: np.ndarray, held: np.ndarray,
                  kept: np.ndarray) -> None:
-        dim, self._solve = diagonal.shape[1], None
+        dim = diagonal.shape[1]
         modes, count = 3 * dim - 3, len(aggregates.indptr) - 1
         self._zero = ZERO[dim]
         self._given = held, kept.reshape(-1), aggregates.offset.reshape(-1), aggregates.label
@@ -275,16 +290,20 @@ class CoarseMatrix:
         _galerkin(self._zero, matrix.indptr, matrix.indices, matrix.data.reshape(-1), diagonal.reshape(-1),
                   *self._given, aggregates.order, aggregates.starts, aggregates.indptr, aggregates.indices, half)
         self._sums = np.zeros(count * modes)
-        try:
-            self._solve = (_dense_solve(half, aggregates) if len(self._sums) <= _DENSE
-                           else _sparse_solve(half, aggregates, _ORDER[dim]))
-        except (np.linalg.LinAlgError, RuntimeError):
-            self._solve = None  # a motion that nothing holds: the sweeps alone are a preconditioner too
+        self._unknowns, self._factor = aggregates.unknowns, None
+        band = np.bincount(aggregates.entries, half.reshape(-1), aggregates.band * len(self._sums))
+        band = band.reshape(aggregates.band, -1)
+        band[0] = 2 * band[0] + _raised(2 * band[0])
+        if count:
+            with suppress(np.linalg.LinAlgError):  # a motion that nothing holds: the sweeps alone precondition too
+                self._factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
 
     def correct(self, residual: np.ndarray, result: np.ndarray) -> None:
-        if self._solve is not None and len(self._sums):
+        if self._factor is not None:
             _restrict(self._zero, residual, *self._given, self._sums)
-            _prolong(self._zero, self._solve(self._sums), *self._given, result)
+            self._sums[self._unknowns] = cho_solve_banded((self._factor, True), self._sums[self._unknowns],
+                                                          overwrite_b=True, check_finite=False)
+            _prolong(self._zero, self._sums, *self._given, result)
 
 
 def _raised(diagonal: np.ndarray) -> np.ndarray:
@@ -292,22 +311,3 @@ def _raised(diagonal: np.ndarray) -> np.ndarray:
     # motions that the status takes away altogether
     most = diagonal.max(initial=0.0)
     return np.where(diagonal > 1e-14 * most, _SHIFT * diagonal, most)
-
-
-def _dense_solve(half: np.ndarray, aggregates: Aggregates) -> Callable[[np.ndarray], np.ndarray]:
-    count, modes = len(aggregates.indptr) - 1, half.shape[1]
-    coarse = np.zeros((count, modes, count, modes))
-    coarse[np.repeat(np.arange(count), np.diff(aggregates.indptr)), :, aggregates.indices] = half
-    coarse = coarse.reshape(count * modes, -1)
-    coarse += coarse.T
-    coarse[np.diag_indices_from(coarse)] += _raised(coarse.diagonal())
-    factor = cho_factor(coarse, lower=True, overwrite_a=True, check_finite=False)
-    return lambda sums: cho_solve(factor, sums, check_finite=False)
-
-
-def _sparse_solve(half: np.ndarray, aggregates: Aggregates, order: str) -> Callable[[np.ndarray], np.ndarray]:
-    size = (len(aggregates.indptr) - 1) * half.shape[1]
-    coarse = sparse.csc_array(sparse.bsr_array((half, aggregates.indices, aggregates.indptr), shape=(size, size)))
-    coarse = sparse.csc_array(coarse + coarse.T)
-    coarse = coarse + sparse.diags_array(_raised(coarse.diagonal()), format="csc")
-    return splu(coarse, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve

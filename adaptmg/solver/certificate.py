@@ -23,7 +23,7 @@ from adaptmg._runtime import one_blas_thread
 from adaptmg._text import shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.solver.aggregates import Aggregates
+from adaptmg.solver.aggregates import Aggregates, aggregates_of
 from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, residual_energy
 
 __all__ = ["Certificate", "Condition", "ContactClaims", "Evidence", "certify"]
@@ -115,7 +115,7 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
             images: np.ndarray | None = None, aggregates: Aggregates | None = None) -> Certificate:
     """Check a displacement and the contact forces and states that go with it."""
     if aggregates is None and not bound:
-        aggregates = Aggregates(problem)
+        aggregates = aggregates_of(problem)
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
         found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, images)

@@ -23,7 +23,6 @@ from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_fr
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.residuals import natural_at_nodes, states
 from adaptmg.smoother.system import ContactState, NodalContact, contact_blocks, held_tangents, local_contact
-from adaptmg.solver.aggregates import Aggregates
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
 
@@ -49,7 +48,6 @@ class Examiner:
         self.blocks = contact_blocks(discrete, self.contact, self.frames)
         self.sizes = Sizes(discrete)
         self._last: tuple[np.ndarray, Examined] | None = None
-        self._aggregates: Aggregates | None = None
 
     def at_step(self, discrete: DiscreteProblem) -> Examiner:
         """The examiner of the same bodies under other data (a load step)."""
@@ -102,10 +100,8 @@ class Examiner:
         displacement = discrete.physical(nodal)
         contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
                                  -self._at_contact(residual))
-        if self._aggregates is None:
-            self._aggregates = Aggregates(discrete)
         found = Examined(displacement, reaction.reshape(nodal.shape), contact, self._residual(solved, residual),
-                         certify(discrete, displacement, contact, images=images, aggregates=self._aggregates))
+                         certify(discrete, displacement, contact, images=images))
         self._last = solved, found
         return found
 
