@@ -55,9 +55,10 @@ _NETGEN_RATIO = 16.0
 # by which sizes may fall further in each round after the second, and the factor to the field for Netgen then: its
 # triangles have about 1.2 times the edges they are asked for
 _FURTHER, _FACTOR = 8.0, 0.85
-#: how many times larger than wanted the elements of a draft may be by dimension, elements that it has at least, and
-#: their least mean shape (long ones across thin parts keep theirs when they are refined)
+#: how many times larger than wanted the elements of a draft may be by dimension, nodes that it has at least, and
+#: the least mean shape of its elements (long ones across thin parts keep theirs when they are refined)
 _FACTORS, _LEAST, _SHAPES = {2: (8, 4, 2, 1), 3: (2, 1)}, {2: 150, 3: 30}, {2: 0.75, 3: 0.55}
+# by how much coarser still the mesh is at whose nodes and centroids Netgen is given the sizes of a draft
 _FIRST = 4
 MESHERS = ("bisection", "netgen")
 

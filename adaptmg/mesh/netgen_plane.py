@@ -21,7 +21,6 @@ from adaptmg import _checks as checks
 from adaptmg._runtime import kernel
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised, sound_by_construction
 from adaptmg.mesh.domains import BOX_SIDES, boundary_measures, extent, plane_measures
-from adaptmg.mesh.improve import improved
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
@@ -40,9 +39,6 @@ MAX_BISECTIONS = 30
 _TOO_LARGE = math.sqrt(2)
 #: nodes over volume / h^dim
 NODES_PER_CELL = {2: 1.15, 3: 1.4}
-# rounds of improvement of a draft in the plane
-_ROUNDS = 8
-_STEPS2D = 1
 
 
 def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
@@ -50,14 +46,13 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
     """Mesh a domain by a size field, or by one a round: then the first mesh is ``first`` times as coarse."""
     lower, scale = extent(domain)
     nodes = refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
-    given, plane = callable(sizes), domain.dim == 2
     at: SizesAt = []
     for step in range(rounds + 1):
         unit = (first if step == 0 < rounds else 1) / scale
         options = {"maxh": unit * max_size, "grading": grading}
-        # the steps that improve shapes take most of the time: drafts in the plane are improved here instead
-        if not given and (step < rounds or plane):
-            options |= {"optsteps2d": 0 if step < rounds else _STEPS2D}
+        # the steps that improve shapes take most of the time: here only nodes and centroids are used
+        if not callable(sizes) and step < rounds:
+            options |= {"optsteps2d": 0}
         mesh = one_mesh(domain, lower, scale, {name: unit * h for name, h in side_sizes.items()}, options, at, nodes)
         if step < rounds:
             places = mesh.points[mesh.elements].mean(axis=1)
@@ -68,8 +63,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
                 nodes = refuse_too_many(expected_nodes(mesh, wanted), domain)
             small = wanted < max_size
             at = [((places[small] - lower) / scale, wanted[small] / scale)]
-    mesh = with_source(mesh)
-    return mesh if given or not plane else improved(mesh, _ROUNDS)
+    return with_source(mesh)
 
 
 def growth(value: float) -> float:
