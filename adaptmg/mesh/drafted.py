@@ -15,14 +15,16 @@ is checked.
 
 from __future__ import annotations
 
-from adaptmg.mesh.arrays import MeshArrays, trusted
+import numpy as np
+
+from adaptmg.mesh.arrays import MeshArrays, longest_edges, trusted
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,
+    NODES_PER_CELL,
     SizeField,
     equilateral_sizes,
-    expected_nodes,
     facet_elements,
     finished,
     onto_outline,
@@ -41,6 +43,8 @@ _LEFT, _NEVER = 0.01, 2**0.5
 _MANY, _ROUNDS = {2: 0.3, 3: 0.0}, 3
 # area or volume that a refined element must have, over its longest edge to the power of the dimension
 _FLAT = 1e-3
+# area or volume of the equilateral element of size 1
+_EQUILATERAL = {2: 3**0.5 / 4, 3: 2**0.5 / 12}
 
 
 def drafted(domain: Domain, draft: MeshArrays, field: SizeField) -> MeshArrays:
@@ -51,14 +55,14 @@ def drafted(domain: Domain, draft: MeshArrays, field: SizeField) -> MeshArrays:
     mesh, dim = draft, draft.dim
     for _ in range(dim * MAX_BISECTIONS):
         at = field(mesh.points)
-        elements = equilateral_sizes(mesh.points[mesh.elements]) / at[mesh.elements].mean(axis=1)
-        facets = equilateral_sizes(mesh.points[mesh.facets]) / at[mesh.facets].mean(axis=1)
+        elements = equilateral_sizes(mesh.points, mesh.elements) / at[mesh.elements].mean(axis=1)
+        facets = equilateral_sizes(mesh.points, mesh.facets) / at[mesh.facets].mean(axis=1)
         large, long = elements > _LARGE[dim], facets > _LONG
         if max(large.mean(), long.mean()) <= _LEFT:
             large, long = elements > _NEVER, facets > _NEVER
             if not (large.any() or long.any()):
                 break
-        refuse_too_many(expected_nodes(mesh, at[mesh.elements].mean(axis=1)), domain)
+        refuse_too_many(NODES_PER_CELL[dim] * _EQUILATERAL[dim] * float((elements**dim).sum()), domain)
         many = large.mean() > _MANY[dim]
         if (elements > _FAR * _LARGE[dim]).mean() > 0.5:
             mesh = halved(mesh)
@@ -77,6 +81,9 @@ def drafted(domain: Domain, draft: MeshArrays, field: SizeField) -> MeshArrays:
 def onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     """A refined mesh with its boundary nodes on the outline; sound if none of its elements became flat."""
     result = onto_outline(domain, mesh)
-    if not (result.volumes > _FLAT * result.element_sizes**2).all():
+    moved = (result.points != mesh.points).any(axis=1)
+    corners = result.points[mesh.elements[moved[mesh.elements].any(axis=1)]]
+    areas = 0.5 * np.linalg.det(corners[:, 1:] - corners[:, :1])
+    if not (areas > _FLAT * longest_edges(corners)**2).all():
         raise ValueError("elements at an arc became flat")
     return trusted(result, None, mesh.sound)

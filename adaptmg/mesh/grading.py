@@ -55,9 +55,11 @@ _NETGEN_RATIO = 16.0
 # by which sizes may fall further in each round after the second, and the factor to the field for Netgen then: its
 # triangles have about 1.2 times the edges they are asked for
 _FURTHER, _FACTOR = 8.0, 0.85
-#: how many times larger than wanted the elements of a draft may be by dimension, elements that it has at least, and
-#: their least mean shape (long ones across thin parts keep theirs when they are refined)
-_FACTORS, _LEAST, _SHAPES = {2: (8, 4, 1), 3: (2, 1)}, {2: 300, 3: 30}, {2: 0.75, 3: 0.55}
+#: how many times larger than wanted the elements of a draft may be by dimension, nodes that it has at least, and
+#: the least mean shape of its elements (long ones across thin parts keep theirs when they are refined)
+_FACTORS, _LEAST, _SHAPES = {2: (8, 4, 2, 1), 3: (2, 1)}, {2: 150, 3: 30}, {2: 0.75, 3: 0.55}
+# by how much coarser still the mesh is at whose nodes and centroids Netgen is given the sizes of a draft
+_FIRST = 4
 MESHERS = ("bisection", "netgen")
 
 
@@ -174,8 +176,9 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
             return factor * field(x, start, growth / factor)
 
         again = rounds if ratio > 1 else 0
-        return netgen_mesh(domain, scaled if mesher == "netgen" else [scaled] * again, factor * size, sides, growth,
-                           again)
+        if mesher == "netgen":
+            return netgen_mesh(domain, scaled, factor * size, sides, growth, again)
+        return netgen_mesh(domain, [scaled] * again, factor * size, sides, growth, again, _FIRST)
 
     return _made(domain, nodes, draft, field, mesher)
 
@@ -201,7 +204,7 @@ def _made(domain: Domain, nodes: float, draft: Callable[[int], MeshArrays], fiel
 
 def _shape(mesh: MeshArrays) -> float:
     """Mean of the size over the longest edge: 1 where all elements are equilateral."""
-    return float((equilateral_sizes(mesh.points[mesh.elements]) / mesh.element_sizes).mean())
+    return float((equilateral_sizes(mesh.points, mesh.elements) / mesh.element_sizes).mean())
 
 
 def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunction],

@@ -18,7 +18,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays, trusted
@@ -26,11 +25,26 @@ from adaptmg.mesh.arrays import MeshArrays, trusted
 __all__ = ["cells_around", "halved", "improved", "improved_triangles", "moved_tetrahedra"]
 
 
-def cells_around(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
+@kernel
+def cells_around(elements, n_nodes):
     """Compressed rows of corners, as ``corners * element + corner``."""
-    n = elements.size
-    rows = sparse.csc_array((np.ones(n, dtype=bool), elements.ravel(), np.arange(n + 1)), shape=(n_nodes, n)).tocsr()
-    return rows.indptr.astype(np.int64), rows.indices.astype(np.int64)
+    start = np.zeros(n_nodes + 1, dtype=np.int64)
+    for e in range(len(elements)):
+        for k in range(elements.shape[1]):
+            start[elements[e, k] + 1] += 1
+    for i in range(n_nodes):
+        start[i + 1] += start[i]
+    items = np.empty(elements.size, dtype=np.int64)
+    for e in range(len(elements) - 1, -1, -1):
+        for k in range(elements.shape[1] - 1, -1, -1):
+            i = elements[e, k] + 1
+            start[i] -= 1
+            items[start[i]] = elements.shape[1] * e + k
+    # every row now begins where the one before it should
+    for i in range(n_nodes):
+        start[i] = start[i + 1]
+    start[n_nodes] = elements.size
+    return start, items
 
 
 # edges of a simplex by their corners: the middle of edge k is number k of those below
@@ -242,12 +256,20 @@ def moved_tetrahedra(points: np.ndarray, elements: np.ndarray, held: np.ndarray,
 _SWEEPS = 8
 
 
-def _across(elements: np.ndarray, n_nodes: int) -> np.ndarray:
+@kernel
+def _across(elements, start, items):
     """The element opposite each corner (n, 3) of triangles, -1 on the boundary."""
-    a, b = elements[:, [1, 2, 0]].ravel(), elements[:, [2, 0, 1]].ravel()
-    # the neighbour runs along the same edge the other way
-    sides = sparse.csr_matrix((np.arange(3, a.size + 3), (a, b)), shape=(n_nodes, n_nodes))
-    return (np.asarray(sides[b, a]).reshape(-1, 3) // 3 - 1).astype(np.int32)
+    across = np.full(elements.shape, -1, dtype=np.int32)
+    for e in range(len(elements)):
+        for k in range(3):
+            b, c = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+            for s in range(start[b], start[b + 1]):
+                f, m = items[s] // 3, items[s] % 3
+                # the neighbour runs along the same edge the other way
+                if elements[f, (m + 2) % 3] == c:
+                    across[e, k] = f
+                    break
+    return across
 
 
 @inner_kernel
@@ -358,10 +380,13 @@ def improved_triangles(points: np.ndarray, elements: np.ndarray, held: np.ndarra
                        ) -> tuple[np.ndarray, np.ndarray]:
     """Triangles on the same nodes, these moved, after some rounds of swaps and moves."""
     points, elements = np.array(points), np.array(elements, dtype=np.int32)
-    across = _across(elements, len(points))
+    around = cells_around(elements, len(points))
+    across = _across(elements, *around)
     for _ in range(rounds):
-        for _ in range(_SWEEPS):
-            if not _swap(points, elements, across):
-                break
-        _move_nodes_2d(points, elements, *cells_around(elements, len(points)), held, _KEPT)
+        swaps = [_swap(points, elements, across)]
+        while swaps[-1] and len(swaps) < _SWEEPS:
+            swaps.append(_swap(points, elements, across))
+        if swaps[0]:
+            around = cells_around(elements, len(points))
+        _move_nodes_2d(points, elements, *around, held, _KEPT)
     return points, elements

@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._runtime import kernel
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised, sound_by_construction
 from adaptmg.mesh.domains import BOX_SIDES, boundary_measures, extent, plane_measures
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
@@ -41,23 +42,27 @@ NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 
 def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
-                grading: float, rounds: int) -> MeshArrays:
-    """Mesh a domain by a size field."""
+                grading: float, rounds: int, first: int = 1) -> MeshArrays:
+    """Mesh a domain by a size field, or by one a round: then the first mesh is ``first`` times as coarse."""
     lower, scale = extent(domain)
     nodes = refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
-    options = {"maxh": max_size / scale, "grading": grading}
-    sides = {name: h / scale for name, h in side_sizes.items()}
     at: SizesAt = []
     for step in range(rounds + 1):
-        # the steps that improve shapes take most of the time; of a draft only the centroids are used
-        draft = {"optsteps2d": 0} if not callable(sizes) and step < rounds else {}
-        mesh = one_mesh(domain, lower, scale, sides, options | draft, at, nodes)
+        unit = (first if step == 0 < rounds else 1) / scale
+        options = {"maxh": unit * max_size, "grading": grading}
+        # the steps that improve shapes take most of the time: here only nodes and centroids are used
+        if not callable(sizes) and step < rounds:
+            options |= {"optsteps2d": 0}
+        mesh = one_mesh(domain, lower, scale, {name: unit * h for name, h in side_sizes.items()}, options, at, nodes)
         if step < rounds:
-            centroids = mesh.points[mesh.elements].mean(axis=1)
-            wanted = (sizes if callable(sizes) else sizes[step])(centroids)
-            nodes = refuse_too_many(expected_nodes(mesh, wanted), domain)
+            places = mesh.points[mesh.elements].mean(axis=1)
+            if first > 1:
+                places = np.concatenate([mesh.points, places])
+            wanted = (sizes if callable(sizes) else sizes[step])(places)
+            if first == 1:
+                nodes = refuse_too_many(expected_nodes(mesh, wanted), domain)
             small = wanted < max_size
-            at = [((centroids[small] - lower) / scale, wanted[small] / scale)]
+            at = [((places[small] - lower) / scale, wanted[small] / scale)]
     return with_source(mesh)
 
 
@@ -170,9 +175,9 @@ def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarra
     Facets are looked at as well because centroids lie off the boundary.
     """
     sizes = field(mesh.points[mesh.elements].mean(axis=1))
-    large = equilateral_sizes(mesh.points[mesh.elements]) > _TOO_LARGE * sizes
-    corners = mesh.points[mesh.facets]
-    facets_large = equilateral_sizes(corners) > _TOO_LARGE * field(corners.mean(axis=1))
+    large = equilateral_sizes(mesh.points, mesh.elements) > _TOO_LARGE * sizes
+    facets_large = (equilateral_sizes(mesh.points, mesh.facets)
+                    > _TOO_LARGE * field(mesh.points[mesh.facets].mean(axis=1)))
     large[facet_elements(mesh, mesh.facets[facets_large])] = True
     return large, sizes
 
@@ -188,19 +193,28 @@ def facet_elements(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
     return near[table.first[table.find(facet_keys(facets, mesh.n_nodes))]]
 
 
-def equilateral_sizes(corners: np.ndarray) -> np.ndarray:
-    """Edge length (n,) of the equilateral simplices with the same measures as some of corners (n, k, dim)."""
-    edges = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1)
-    # the square of the measure times (k - 1)!: Gram's determinant
-    gram = np.einsum("ikn,jkn->ijn", edges, edges)
-    if len(gram) == 1:
-        return np.sqrt(gram[0, 0])
-    square = gram[0, 0] * gram[1, 1] - gram[0, 1]**2
-    if len(gram) == 2:
-        return (square * (4 / 3)) ** 0.25
-    square = (gram[2, 2] * square - gram[0, 2] * (gram[0, 2] * gram[1, 1] - gram[0, 1] * gram[1, 2])
-              + gram[1, 2] * (gram[0, 2] * gram[0, 1] - gram[0, 0] * gram[1, 2]))
-    return (2 * square) ** (1 / 6)
+@kernel
+def equilateral_sizes(points, cells):
+    """Edge length (n,) of the equilateral simplices with the same measures as some with the corners ``cells``."""
+    result = np.empty(len(cells))
+    k = cells.shape[1]
+    for i in range(len(cells)):
+        # the square of the measure times (k - 1)!: Gram's determinant
+        g00 = g01 = g02 = g11 = g12 = g22 = 0.0
+        for d in range(points.shape[1]):
+            x = points[cells[i, 0], d]
+            u, v, w = points[cells[i, 1], d] - x, points[cells[i, min(2, k - 1)], d] - x, points[cells[i, k - 1], d] - x
+            g00, g01, g02 = g00 + u * u, g01 + u * v, g02 + u * w
+            g11, g12, g22 = g11 + v * v, g12 + v * w, g22 + w * w
+        square = g00 * g11 - g01 * g01
+        if k == 2:
+            result[i] = np.sqrt(g00)
+        elif k == 3:
+            result[i] = np.sqrt(np.sqrt(4.0 / 3.0 * max(square, 0.0)))
+        else:
+            square = g22 * square - g02 * (g02 * g11 - g01 * g12) + g12 * (g02 * g01 - g00 * g12)
+            result[i] = (2.0 * max(square, 0.0)) ** (1.0 / 6.0)
+    return result
 
 
 def unreachable(domain: Domain, large: np.ndarray) -> ValueError:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import ClassVar
 
@@ -92,7 +93,7 @@ class Rectangle(Domain):
     def _extremes(self) -> np.ndarray:
         return np.array([[0.0, 0.0], [self.width, self.height]]) + self.origin
 
-    @property
+    @cached_property
     def polygon(self) -> Polygon:
         """The same as a polygon."""
         (x0, y0), (x1, y1) = self.lower, self.upper
