@@ -31,8 +31,9 @@ STUDIES = {"table_1_grids": 12, "table_2_smoothings": 15, "table_3_full_multigri
 #: only with --full, or where they are named
 LARGE = {"hertz": 120, "benchmark": 300}
 TITLE = "adaptmg: multigrid for frictional contact"
-SUMMARY = """The paper Multigrid in Structure Assembling Problem recomputed: its three tables next to
-ours, its assemblies, and what it leaves open, adaptive meshes with non-nested grids."""
+SUMMARY = """'Multigrid in Structure Assembling Problem' (a conference paper after 1989; the copy at hand names neither
+authors nor volume) recomputed: its three tables next to ours, its assemblies, and what it leaves open, adaptive meshes
+with non-nested grids."""
 TERMS = """Work unit: one pass over the matrix of the finest grid; passes on coarser grids count by their nonzeros,
 inside coarse solves and in nested starts too. Not counted: direct factorisations, which are in the seconds only; a pass
 of the default method's half sweeps uses each entry twice, a sweep of the other methods once.

@@ -84,12 +84,14 @@ def study(out: Output) -> None:
     ratios = am.Study(two_grids, apart, out.store, name="ratios").run(throw=True)
     ratios = ratios[["where", "ratio", "coarse_nodes", "nodes", "cycles", "rate", "monotone_cycles", "monotone_rate"]]
     out.table("ratios", ratios, "Two grids: the ratio of their mesh sizes, interpolation, from zero",
+              "Rate: of the last cycles. From zero most cycles of the default find the contact zones, at no rate.",
               formats={"rate": ".2f", "monotone_rate": ".2f"})
     figure, ax = drawing()
     for (where, rows), mark in zip(ratios.groupby("where", sort=False), "os", strict=True):
         ax.plot(rows["ratio"], rows["rate"], f"{mark}-", label=f"{where}, default")
         ax.plot(rows["ratio"], rows["monotone_rate"], f"{mark}:", label=f"{where}, monotone")
-    ax.set(xlabel="coarse size over fine size", ylabel="rate per cycle", ylim=(0, 1))
+    ax.set(xlabel="coarse size over fine size", ylabel="rate of the last cycles", ylim=(0, 1),
+           xticks=ratios["ratio"].unique())
     figure.legend(loc="outside right upper")
     out.figure("ratios", figure, "Convergence rate of two grids against the ratio of their mesh sizes")
     plane = table[(table["dim"] == 2) & (table["transfer"] == "Interpolation")]

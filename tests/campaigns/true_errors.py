@@ -60,7 +60,7 @@ def measure(seed: int) -> dict[str, Any]:
     exact: list[np.ndarray] = []
     for name, method in methods(rtol, grids.finest.n_nodes, grids.finest.discrete.dim, len(grids)).items():
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)
+            warnings.simplefilter("ignore")
             try:
                 result = am.solve(grids, method, throw=False)
             except (ValueError, np.linalg.LinAlgError) as error:

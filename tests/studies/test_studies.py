@@ -4,17 +4,20 @@ Studies that are not run here are run by ``reproduce.py --quick`` in CI.
 """
 
 import argparse
+import dataclasses
 import json
 import os
 import re
 import subprocess
 import sys
 
+import numpy as np
 import pandas as pd
 import pytest
 from pages import Page
 from study_scripts import ROOT, STUDIES, load
 
+import adaptmg as am
 from adaptmg.cli import main
 
 common, reproduce = load("common"), load("reproduce")
@@ -104,3 +107,17 @@ def test_the_readme_has_the_numbers_that_were_recorded():
     assert 0 < len(recorded) <= 15 and len(files) <= 6 and all(len(pd.read_csv(file)) <= 15 for file in files)
     table = re.search(r"\| what +\| measured +\|\n\|[-|: ]+\n((?:\|.*\n)+)", (ROOT / "README.md").read_text())
     assert [[cell.strip() for cell in line.strip("|").split("|")] for line in table[1].splitlines()] == recorded
+
+
+def test_the_campaign_of_loops_sees_spoilt_meshes_and_draws_every_problem():
+    loops = load("adaptive_loops")
+    for make in loops.MAKERS[1:]:
+        assert isinstance(make(np.random.default_rng(3)), am.ContactProblem)
+    mesh = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), 4)
+    assert loops.mesh_faults(mesh, mesh, False) == []
+    inside = mesh.points.copy()
+    inside[0] = [0.1, 0.1]
+    for words, change in (("sizes", {"points": inside}), ("names differ", {"boundaries": ("a", *mesh.boundaries[1:])}),
+                          ("facets", {"elements": mesh.elements[1:], "element_body": None})):
+        faults = loops.mesh_faults(dataclasses.replace(mesh, source=None, **change), mesh, False)
+        assert any(words in fault for fault in faults), words
