@@ -135,8 +135,8 @@ def _shown(value: object) -> str:
 
 def measured_page(folder: Path) -> str:
     """The tables that studies have written into data/measured."""
-    page = _title("Measured") + ("\nTables that ``python studies/reproduce.py --full --record`` writes; work is in passes "
-                                 "over the finest matrix.\n")
+    page = _title("Measured") + ("\nTables that ``python studies/reproduce.py --full --record`` writes; work is in "
+                                 "passes over the finest matrix.\n")
     for file in sorted(folder.glob("*.csv")):
         lines = file.read_text(encoding="utf-8").splitlines()
         notes = [line.lstrip("# ") for line in lines if line.startswith("#")]
