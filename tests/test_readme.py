@@ -35,7 +35,7 @@ def test_examples_of_the_readme_run(tmp_path, monkeypatch):
 def given(tmp_path):
     """What the pages of the documentation take as known: a matrix from another code, a gmsh file."""
     problem = am.cases.greco_bar()
-    meshes = [am.mesh.structured(problem.domain, n) for n in (4, 8)]
+    meshes = [am.mesh.structured(problem.domain, n) for n in (16, 32)]
     fine = am.discretise(problem, meshes[1])
     edges = [(name, meshes[1].boundary_facets(name)) for name in meshes[1].boundaries]
     tags = [np.full(len(facets), number) for number, (_, facets) in enumerate(edges, 1)]
