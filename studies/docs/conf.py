@@ -20,6 +20,7 @@ exclude_patterns = ["scripts/*"]
 templates_path = ["_templates"]
 default_role = "literal"
 nitpicky = True
+nitpick_ignore = [("py:class", "pathlib.Path")]             # Python's pages are not here
 math_numfig = True
 autosummary_generate = True
 autodoc_typehints = "none"
