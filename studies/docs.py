@@ -23,14 +23,14 @@ import adaptmg as am
 
 ROOT = Path(__file__).resolve().parent.parent
 LAWS = ("Frictionless", "Tresca", "Coulomb", "problem.Law")
-DOMAINS = ("Rectangle", "Circle", "Polygon", "Outline", "Box", "Ball", "Cylinder", "Extrusion", "Revolution", "StepFile",
-           "Cut", "Fuse", "Common", "Moved", "Assembly", "problem.Domain")
+DOMAINS = ("Rectangle", "Circle", "Polygon", "Outline", "Box", "Ball", "Cylinder", "Extrusion", "Revolution",
+           "StepFile", "Cut", "Fuse", "Common", "Moved", "Assembly", "problem.Domain")
 #: pages of the reference: title, first sentence, modules whose names they show
 TASKS = {
-    "pose": ("Pose a problem", "Bodies, materials, contact, supports and loads; lengths in m, pressures in Pa.", ("problem",)),
+    "pose": ("Pose a problem", "Bodies, materials, contact, supports and loads, in m and Pa.", ("problem",)),
     "domains": ("Domains", "Shapes of bodies, and how they are combined.", ()),
     "laws": ("Friction laws", "What bounds the tangential traction.", ()),
-    "grids": ("Grids", "Hierarchies, coarsest level first, and the meshes that they are made of.", ("hierarchy", "mesh")),
+    "grids": ("Grids", "Hierarchies, coarsest level first, and their meshes.", ("hierarchy", "mesh")),
     "transfers": ("Transfers", "Prolongations between meshes, nested or not.", ("transfer",)),
     "solve": ("Solve", "Methods, their parts, and results. Bare matrices are posed here, too.",
               ("solver", "multigrid", "smoother", "discrete")),
@@ -56,7 +56,7 @@ def main() -> int:
     shutil.rmtree(out, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
         source = write_sources(Path(folder) / "source")
-        code = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-b", "html",
+        code = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-j", "auto", "-b", "html",
                                "-d", str(Path(folder) / "doctrees"), str(source), str(out)], check=False).returncode
     if not code:
         print(f"documentation: {out / 'index.html'}")
@@ -64,7 +64,7 @@ def main() -> int:
 
 
 def write_sources(source: Path) -> Path:
-    """Copy pages, tutorials and the picture, and write the pages that are made of the package and of measured tables."""
+    """Copy pages, tutorials and the picture; write the pages that are made of the package and of measured tables."""
     shutil.copytree(ROOT / "studies" / "docs", source)
     shutil.copytree(ROOT / "studies" / "tutorials", source / "scripts", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "data" / "pictures" / "overview.png", source)
@@ -79,8 +79,8 @@ def public_names() -> dict[str, list[str]]:
     pages: dict[str, list[str]] = {task: [] for task in TASKS}
     task_of = {module: task for task, (_, _, modules) in TASKS.items() for module in modules}
     every = [(home.split(".")[1], name) for name, home in sorted(am._HOME.items())]
-    every += [(module, f"{module}.{name}") for module in am._SUBMODULES for name in getattr(getattr(am, module), "__all__", ())
-              if name not in am._HOME]
+    every += [(module, f"{module}.{name}") for module in am._SUBMODULES
+              for name in getattr(getattr(am, module), "__all__", ()) if name not in am._HOME]
     for module, name in every:
         pages["laws" if name in LAWS else "domains" if name in DOMAINS else task_of[module]].append(name)
     return pages
@@ -89,21 +89,23 @@ def public_names() -> dict[str, list[str]]:
 def write_reference(folder: Path) -> None:
     """Write the pages of the reference, by task."""
     folder.mkdir()
-    index = _title("API by task") + "\nEvery public name, with an example. ``import adaptmg as am`` first.\n\n.. toctree::\n\n"
+    index = _title("API by task") + "\nAll public names; ``import adaptmg as am`` first.\n\n.. toctree::\n\n"
     for task, names in public_names().items():
         title, sentence, _ = TASKS[task]
         index += f"   {task}\n"
-        page = _title(title) + f"\n{sentence}\n\n.. currentmodule:: adaptmg\n\n.. autosummary::\n   :toctree: names\n   :nosignatures:\n\n"
+        page = (f"{_title(title)}\n{sentence}\n\n.. currentmodule:: adaptmg\n\n"
+                ".. autosummary::\n   :toctree: names\n   :nosignatures:\n\n")
         (folder / f"{task}.rst").write_text(page + "".join(f"   {name}\n" for name in names), encoding="utf-8")
     (folder / "index.rst").write_text(index, encoding="utf-8")
 
 
 def cases_page() -> str:
     """A table of the cases, and their reference values with sources."""
-    page = _title("Cases") + ("\nProblems with defaults for all arguments; the values are those of the defaults, in SI units. "
-                              "``am.cases.NAME().reference`` holds them.\n")
+    page = _title("Cases") + ("\nProblems with defaults for all arguments; the values are those of the defaults, in SI "
+                              "units. ``am.cases.NAME().reference`` holds them.\n")
     cases = {name: (case.description, case.function()) for name, case in am.cases.CASES.items()}
-    page += _table(["case", "what it is"], [[f":func:`~adaptmg.cases.{name}`", text] for name, (text, _) in cases.items()])
+    page += _table(["case", "what it is"],
+                   [[f":func:`~adaptmg.cases.{name}`", text] for name, (text, _) in cases.items()])
     for name, (_, problem) in cases.items():
         rows = [[f"``{key}``", text] for key, text in _flat(problem.reference)]
         page += f"\n{name}\n{'-' * len(name)}\n" + _table(["reference", "value"], rows) if rows else ""
@@ -111,30 +113,37 @@ def cases_page() -> str:
 
 
 def _flat(reference: Mapping[str, object], before: str = "") -> Iterator[tuple[str, str]]:
-    """Names and values of a nested mapping; closed forms by their class."""
+    """Names and values of a nested mapping; a mapping to numbers is one value."""
     for key, value in reference.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and any(isinstance(item, (str, Mapping)) for item in value.values()):
             yield from _flat(value, f"{before}{key}: ")
-        elif isinstance(value, str):
-            yield before + key, value.replace("|", r"\|").replace("*", r"\*")
-        elif isinstance(value, (bool, int, float)):
-            yield before + key, str(value) if isinstance(value, (bool, int)) else f"{value:.7g}"
-        elif isinstance(value, tuple):
-            yield before + key, ", ".join(map(str, value))
         else:
-            yield before + key, f":class:`~adaptmg.cases.{type(value).__name__}`"
+            yield f"{before}{key}", _shown(value)
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "; ".join(f"{key} {_shown(item)}" for key, item in value.items())
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_shown, value))})"
+    if isinstance(value, str):
+        return value.replace("|", r"\|").replace("*", r"\*")
+    if isinstance(value, (bool, int, float)):
+        return f"{value:.7g}" if isinstance(value, float) else str(value)
+    return f":class:`~adaptmg.cases.{type(value).__name__}`"                      # a closed form
 
 
 def measured_page(folder: Path) -> str:
     """The tables that studies have written into data/measured."""
-    page = _title("Measured") + ("\nTables written by the studies: ``python studies/reproduce.py --full`` computes them "
-                                 "again. Lines above a table come from the study.\n")
+    page = _title("Measured") + ("\nTables that ``python studies/reproduce.py --full --record`` writes; work is in "
+                                 "passes over the finest matrix.\n")
     for file in sorted(folder.glob("*.csv")):
         lines = file.read_text(encoding="utf-8").splitlines()
         notes = [line.lstrip("# ") for line in lines if line.startswith("#")]
         frame = pd.read_csv(file, comment="#", dtype=str, keep_default_na=False)
         title = file.stem.replace("_", " ").capitalize()
-        page += f"\n{title}\n{'-' * len(title)}\n\n" + "\n".join(notes) + "\n" + _table(list(frame.columns), frame.to_numpy().tolist())
+        page += f"\n{title}\n{'-' * len(title)}\n\n" + "\n".join(notes) + "\n"
+        page += _table(list(frame.columns), frame.to_numpy().tolist())
     return page
 
 

@@ -16,8 +16,9 @@ PAGES = sorted((ROOT / "studies" / "docs").rglob("*.rst"))
 
 
 def blocks(page):
-    found = re.findall(r"^\.\. code-block:: python\n\n((?:   .*\n|\n)*)", page.read_text(encoding="utf-8"), re.MULTILINE)
-    return [textwrap.dedent(text) for text in found]
+    text = page.read_text(encoding="utf-8")
+    found = re.findall(r"^\.\. code-block:: python\n\n((?:   .*\n|\n)*)", text, re.MULTILINE)
+    return [textwrap.dedent(block) for block in found]
 
 
 @pytest.mark.slow
@@ -34,21 +35,20 @@ def test_examples_of_the_readme_run(tmp_path, monkeypatch):
 def given(tmp_path):
     """What the pages of the documentation take as known: a matrix from another code, a gmsh file."""
     problem = am.cases.greco_bar()
-    meshes = [am.mesh.structured(problem.domain, n) for n in (4, 8)]
+    meshes = [am.mesh.structured(problem.domain, n) for n in (16, 32)]
     fine = am.discretise(problem, meshes[1])
     edges = [(name, meshes[1].boundary_facets(name)) for name in meshes[1].boundaries]
     tags = [np.full(len(facets), number) for number, (_, facets) in enumerate(edges, 1)]
     body = len(edges) + 1
     kinds = np.concatenate([*tags]), np.full(len(meshes[1].elements), body)
+    names = {name: np.array([number, 1]) for number, (name, _) in enumerate(edges, 1)} | {"bar": np.array([body, 2])}
+    cells = [("line", np.concatenate([facets for _, facets in edges])), ("triangle", meshes[1].elements)]
     meshio.write_points_cells(
-        tmp_path / "bar.msh", np.pad(meshes[1].points, ((0, 0), (0, 1))),
-          [("line", np.concatenate([facets for _, facets in edges])), ("triangle", meshes[1].elements)], file_format="gmsh22",
-          cell_data={"gmsh:physical": list(kinds), "gmsh:geometrical": list(kinds)},
-          field_data={name: np.array([number, 1]) for number, (name, _) in enumerate(edges, 1)} | {"bar": np.array([body, 2])},
-          binary=False)
+        tmp_path / "bar.msh", np.pad(meshes[1].points, ((0, 0), (0, 1))), cells, file_format="gmsh22", binary=False,
+        cell_data={"gmsh:physical": list(kinds), "gmsh:geometrical": list(kinds)}, field_data=names)
     contact = fine.contact
-    return {"problem": problem, "coarse": meshes[0], "A": fine.matrix, "b": fine.load, "fixed": fine.fixed, "x": fine.coordinates,
-            "i": contact.nodes, "n": contact.normals, "g": contact.gaps}
+    return {"problem": problem, "coarse": meshes[0], "A": fine.matrix, "b": fine.load, "fixed": fine.fixed,
+            "x": fine.coordinates, "i": contact.nodes, "n": contact.normals, "g": contact.gaps}
 
 
 @pytest.mark.slow

@@ -5,18 +5,22 @@ import sys
 from importlib.metadata import distribution
 
 import matplotlib
+from matplotlib.figure import Figure
 from sphinx.util.nodes import make_refnode
+from sphinx_gallery.scrapers import figure_rst
 
 import adaptmg as am
 
 matplotlib.use("Agg")
 project, author, version = "adaptmg", "adaptmg contributors", am.__version__
 release, project_copyright = version, "adaptmg contributors, MIT licence"
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc", "sphinx_gallery.gen_gallery"]
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc",
+              "sphinx_gallery.gen_gallery"]
 exclude_patterns = ["scripts/*"]
 templates_path = ["_templates"]
 default_role = "literal"
 nitpicky = True
+nitpick_ignore = [("py:class", "pathlib.Path")]             # Python's pages are not here
 math_numfig = True
 autosummary_generate = True
 autodoc_typehints = "none"
@@ -32,10 +36,25 @@ html_show_search_summary = False
 html_copy_source = False
 html_theme_options = {"light_css_variables": {"font-stack": "system-ui, sans-serif"}}
 
+suppress_warnings = ["config.cache"]                         # the function below cannot be pickled
+_shown = []
+
+
+def _pictures(block, names, settings):
+    """Save the figure that a block of a tutorial ends with; pyplot does not keep those of adaptmg."""
+    value, paths = names["example_globals"].get("___"), []
+    if isinstance(value, Figure) and value not in _shown:
+        _shown.append(value)
+        paths = [next(names["image_path_iterator"])]
+        value.savefig(paths[0], dpi=150)
+    return figure_rst(paths, settings["src_dir"])
+
+
 sphinx_gallery_conf = {
     "examples_dirs": "scripts", "gallery_dirs": "tutorials", "filename_pattern": r"\.py$",
     "within_subsection_order": "FileNameSortKey", "abort_on_example_error": True, "capture_repr": ("_repr_html_",),
-    "image_srcset": ["2x"], "write_computation_times": False, "show_memory": False, "download_all_examples": False,
+    "image_scrapers": ("matplotlib", _pictures),
+    "write_computation_times": False, "show_memory": False, "download_all_examples": False,
     "remove_config_comments": True, "plot_gallery": True,
 }
 
@@ -53,14 +72,16 @@ def _resolve(app, environment, node, content):
     for length in (1, 2):                                    # a name, or an attribute of a name
         name = _pages.get(parts[-length]) if length <= len(parts) else None
         if name and (length == 1 or name[len("adaptmg."):][0].isupper()):
-            return make_refnode(app.builder, node["refdoc"], objects[name].docname, objects[name].node_id, content, name)
+            entry = objects[name]
+            return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, content, name)
     return content if _exists(parts) else None
 
 
 def _exists(parts):
     """Whether a dotted name, or a bare one in some module, belongs to the package."""
     if len(parts) == 1 or parts[0] != "adaptmg":
-        return any(hasattr(module, parts[0]) for name, module in list(sys.modules.items()) if name.startswith("adaptmg."))
+        modules = [module for name, module in sys.modules.items() if name.startswith("adaptmg.")]
+        return any(hasattr(module, parts[0]) for module in modules)
     value = importlib.import_module("adaptmg")
     for length in range(2, len(parts) + 1):
         try:

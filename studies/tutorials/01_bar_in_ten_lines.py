@@ -27,7 +27,7 @@ print(result.certificate())
 # %%
 # The bar lifts at its left corner, slips in the middle and sticks on the right: the three colours.
 
-figure = am.plot.contact(result)
+am.plot.contact(result)
 
 # %%
 # **Next:** change the friction, or take more sizes. ``result.stresses()``, ``result.probe(points)`` and

@@ -14,20 +14,20 @@ problem = am.ContactProblem(
     contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))),           # a rigid plane below
     law=am.Coulomb(0.3), loads=(am.Pressure("top", 4e7),),
     supports=(am.Support("left", x=0.0),))                            # held in x, free in y
-figure = am.plot.problem(problem)
+am.plot.problem(problem)
 
 # %%
 # Meshes are graded towards contact. The nodes of the finest level lie on the circle, those of coarser levels too.
 
 grids = am.Hierarchy.graded(problem, sizes=(12e-3, 7e-3, 4e-3, 2.4e-3), contact_ratio=2)
 result = am.solve(grids)
-figure = am.plot.deformation(result, amplify=200, stress=True)
+am.plot.deformation(result, amplify=200, stress=True)
 
 # %%
 # The plane carries the whole load, 40 MPa on 80 mm; the hole takes pressure from the middle.
 
 print(result.resultant("bottom").force)                               # N/m
-figure = am.plot.contact(result)
+am.plot.contact(result)
 
 # %%
 # **Next:** ``am.Outline`` makes shapes with arcs, ``am.GapFunction`` an obstacle that is not flat, ``am.Spring`` an

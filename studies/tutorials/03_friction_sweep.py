@@ -28,8 +28,7 @@ table[["friction", "cycles", "work_units", "slipping"]]
 
 figure, ax = plt.subplots(layout="constrained")
 ax.plot(table["friction"], 100 * table["slipping"], "o-")
-ax.set(xlabel="friction", ylabel="contact nodes that slip [%]", ylim=(0, 100))
-figure
+_ = ax.set(xlabel="friction", ylabel="contact nodes that slip [%]", ylim=(0, 100))
 
 # %%
 # **Next:** ``study.run(workers=4)`` computes on four processes; ``am.study.LatinHypercube`` and ``am.study.Sobol``

@@ -30,7 +30,7 @@ for names in (("bar.bottom", "block.top"), ("block.top", "bar.bottom")):
 
 result = results["slave bar.bottom"]
 print(result.resultant("bar.bottom").force + result.resultant("block.top").force)     # N/m
-figure = am.plot.deformation(result, amplify=100, stress=True)
+am.plot.deformation(result, amplify=100, stress=True)
 
 # %%
 # **Next:** the cases ``dovetail`` and ``bolted_junction``; three bodies in a chain. **It depends on** your own

@@ -20,7 +20,7 @@ steps
 # The way back is another curve than the way there: the foot does not return to where it was.
 
 moved = {"u_x of the corner [µm]": lambda step: 1e6 * step.probe([(0.0, 0.0)])[0, 0]}
-figure = am.plot.load_history(steps, push, moved, against="factor of the push", steps=4)
+am.plot.load_history(steps, push, moved, against="factor of the push", steps=4)
 
 # %%
 # **Next:** ``store="folder"`` keeps each finished step, and an interrupted path goes on there;

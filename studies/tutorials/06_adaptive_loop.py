@@ -16,7 +16,7 @@ for step in steps:
 # The error falls as the inverse square root of the number of nodes, the best that linear elements do.
 
 print(steps[-1].outcome)
-figure = am.plot.adaptation(steps)
+am.plot.adaptation(steps)
 
 # %%
 # **Next:** ``engine=am.Bisect()`` bisects marked elements, ``indicator=am.Recovery()`` is a sharper estimate,

@@ -13,13 +13,13 @@ exact = problem.reference["values"]["converged"]["A"]                 # m
 goal = am.Goal(am.Displacement(problem.reference["points"]["A"], "x"))
 steps = list(am.adapt(problem, start=10e-3, indicator=goal, max_nodes=4000))
 for step in steps:
-    error, corrected = step.estimate.value / exact - 1, step.estimate.corrected / exact - 1
+    error, corrected = step.estimate.value / exact - 1, step.estimate.corrected[0] / exact - 1
     print(f"{step.nodes:5d} nodes: error {error:+.1e}, corrected {corrected:+.1e}, settled: {step.settled}")
 
 # %%
 # Believe the estimate when ``step.settled`` says so: on coarse meshes the contact state itself is wrong.
 
-figure = am.plot.adaptation(steps)
+am.plot.adaptation(steps)
 
 # %%
 # **Next:** ``am.ContactForce``, ``am.Opening``, ``am.MeanDisplacement``, or several goals in one list.

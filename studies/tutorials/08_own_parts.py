@@ -10,31 +10,31 @@ from scipy.spatial import cKDTree
 
 import adaptmg as am
 
+
 class ThreeNearest:                                      # a transfer: inverse-distance weights of three coarse nodes
     def build(self, coarse, fine):
         distance, node = cKDTree(coarse.points).query(fine.points, k=3)
         weight = 1 / np.maximum(distance, 1e-12)
         weight /= weight.sum(axis=1, keepdims=True)
-        rows = np.repeat(np.arange(fine.n_nodes), 3)
-        return sparse.csr_array((weight.ravel(), (rows, node.ravel())), shape=(fine.n_nodes, coarse.n_nodes))
+        entries = weight.ravel(), node.ravel(), np.arange(0, 3 * len(node) + 1, 3)
+        return sparse.csr_array(entries, shape=(fine.n_nodes, coarse.n_nodes))
 
 
 class TwoSweeps:                                                      # a smoother: twice the built-in one
-    def smooth(self, system, contact, load, unknowns, sweeps=1):
+    def smooth(self, system, contact, load, unknowns, sweeps):
         return am.ProjectedGaussSeidel().smooth(system, contact, load, unknowns, 2 * sweeps)
 
 
 class NearContact:                                                    # an indicator: large where y is small
     def indicate(self, hierarchy, result):
-        mesh = hierarchy.finest.mesh
-        return am.Estimate(squares=np.exp(-mesh.points[mesh.elements].mean(axis=1)[:, 1] / 5e-3), norm=1e3)
+        height = hierarchy.finest.mesh.points[hierarchy.finest.mesh.elements].mean(axis=1)[:, 1]
+        return am.Estimate(squares=np.exp(-height / 5e-3), norm=1e3)
 
 
 grids = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 6e-3, 3.6e-3), contact_ratio=2, transfer=ThreeNearest())
-results = {type(smoother).__name__: am.solve(grids, am.FullMultigrid(correction=am.Monotone(), smoother=smoother))
-           for smoother in (am.ProjectedGaussSeidel(), TwoSweeps())}
-figure = am.plot.history(results, quantity="residual")
+am.plot.history(am.solve(grids, am.FullMultigrid(correction=am.Monotone(), smoother=TwoSweeps())))
+# %%
 *_, last = am.adapt(am.cases.greco_bar(), start=10e-3, indicator=NearContact(), engine=am.Bisect(), max_nodes=1500)
-figure = am.plot.mesh(last.hierarchy.finest.mesh)
+am.plot.mesh(last.hierarchy.finest.mesh)
 # %%
 # **Next:** the same solve with ``am.L2()``. **It depends on** the bar in ten lines.

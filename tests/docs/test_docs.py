@@ -16,8 +16,8 @@ def test_every_public_name_is_on_one_page_of_the_reference():
     docs = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(docs)
     listed = [name for names in docs.public_names().values() for name in names]
-    public = set(am._HOME) | {f"{module}.{name}" for module in am._SUBMODULES for name in getattr(getattr(am, module), "__all__", ())
-                              if name not in am._HOME}
+    public = [*am._HOME] + [f"{module}.{name}" for module in am._SUBMODULES if module != "solver"
+                            for name in getattr(am, module).__all__ if name not in am._HOME]
     assert sorted(listed) == sorted(public)
 
 
