@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+from matplotlib.figure import Figure
 
 from adaptmg.cli import main
 
@@ -14,6 +15,8 @@ def command(capsys, monkeypatch, tmp_path) -> Command:
     """Run ``adaptmg`` in a folder of its own: exit code, standard output, standard error."""
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.chdir(tmp_path)
+    savefig = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda self, file, **options: savefig(self, file, dpi=30))
 
     def run(*arguments: str) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as end:

@@ -111,13 +111,7 @@ def test_adaptation_draws_meshes_states_indicator_and_errors():
     low, high = bar.get_ylim()
     assert high == pytest.approx(np.sqrt(steps[-1].estimate.squares).max()) and low >= 1e-4 * high * 0.99
     assert isinstance(bar._colorbar.norm, LogNorm)
-
-
-def test_adaptation_of_one_step_in_three_dimensions():
-    figure = plot.adaptation([next(am.adapt(am.cases.greco_block(), 20e-3, engine=am.Bisect(), max_nodes=30))])
-    figure.canvas.draw()
-    assert sum(ax.name == "3d" for ax in figure.axes) == 2
-    for wrong, kind in (([], ValueError), ([1], TypeError), (None, TypeError)):
+    for wrong, kind in (([], ValueError), ([1], TypeError)):
         with pytest.raises(kind, match="steps"):
             plot.adaptation(wrong)
 

@@ -44,7 +44,7 @@ PICTURES = {
     "mesh 2D": lambda: plot.mesh(PLANE.mesh, contact=["upper.bottom"]),
     "mesh 3D": lambda: plot.mesh(SOLID.mesh, contact=["upper.bottom"]),
     "grids 2D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 3, 4, 5, 6))),
-    "grids 3D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_block(), divisions=(1, 2))),
+    "grids 3D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 3))),
     "contact 2D": lambda: plot.contact(PLANE),
     "contact 3D": lambda: plot.contact(SOLID),
     "deformation 2D": lambda: plot.deformation(PLANE, states=True),

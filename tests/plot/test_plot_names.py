@@ -10,7 +10,7 @@ from pictures import texts
 import adaptmg as am
 from adaptmg import plot
 
-NAMES = ("a$b$c", r"_$\frac{", "<b>&amp; 50 % #1 ~^{", "ends\\")
+NAMES = ("a$b$c", r"_$\frac{", "<b>&amp; 50 % #1 ~^{ends\\")
 
 
 def posed(name: str, dim: int) -> tuple[am.ContactProblem, am.MeshArrays]:

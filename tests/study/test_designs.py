@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from adaptmg.study import Grid, LatinHypercube, Points, Random, Repeated, Sobol, Study, Zip
-from adaptmg.study.designs import as_design
 
 
 def run(n, law="a", seed=0):
@@ -55,10 +54,6 @@ def test_a_sobol_sequence_is_extended_and_points_of_whole_numbers_are_run_once()
     (lambda: Grid({"n": itertools.count()}), TypeError, "no end"),
     (lambda: Grid({"n": (k for k in range(3))}), TypeError, "length is known"),
     (lambda: Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
-    (lambda: Grid({"n": range(10**30)}), ValueError, "at most"),
-    (lambda: Grid({name: range(1000) for name in "abc"}), ValueError, "1000000000 points"),
-    (lambda: Repeated({"n": [1]}, 10**9), ValueError, "1000000000 points"),
-    (lambda: Random({"x": (0.0, 1.0)}, 10**9), ValueError, "1000000000 points"),
     (lambda: Zip({"n": [1, 2], "m": [1]}), ValueError, "one length"),
     (lambda: Zip({"n": [1, 1]}), ValueError, "points 0 and 1 are the same"),
     (lambda: Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
@@ -67,11 +62,7 @@ def test_a_sobol_sequence_is_extended_and_points_of_whole_numbers_are_run_once()
     (lambda: Study(run, {"n": [1]}).add({"law": ["a"]}), ValueError, "same parameters"),
     (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "must go up"),
     (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
-    (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["y"]), ValueError, "log names"),
-    (lambda: Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite"),
-    (lambda: Sobol({"x": (0.0, 1.0)}, 0), ValueError, "runs must be >= 1"),
-    (lambda: as_design("parameters", 3), TypeError, "parameters must be"),
-])
+    (lambda: Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite")])
 def test_wrong_designs_are_refused_before_memory_is(make, error, match):
     with pytest.raises(error, match=match):
         make()
