@@ -391,7 +391,8 @@ class Result:
         master = np.array([boundary == name != "" for name in c.masters])
         if slave.any() or master.any():
             own = slave[c.boundary]
-            others = np.where(c.on_slaves(getattr(self, "mesh", None)), slave[c.master_boundary], master[c.master_boundary])
+            on_slaves = c.on_slaves(getattr(self, "mesh", None))
+            others = np.where(on_slaves, slave[c.master_boundary], master[c.master_boundary])
             return (np.concatenate([c.node[own], c.master_node[others]]),
                     np.concatenate([c.force[own], c.master_force[others]]))
         if not hasattr(self, "mesh"):
