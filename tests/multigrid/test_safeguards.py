@@ -128,6 +128,16 @@ def test_a_start_that_ran_away_sets_no_tolerance():
         assert watch.rtol == pytest.approx(min(0.1 * change / np.sqrt(3), 1e-2))
 
 
+@pytest.mark.parametrize(("rate", "slow"), [(0.5, False), (0.97, True)])
+def test_one_uneven_ratio_hands_nothing_over(rate, slow):
+    problem = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4,)).finest.discrete
+    watch = TruncatedIteration(None, problem, 1e-8, 100)
+    watch.size, watch.residual = 1.0, 1e-5
+    watch.changes = [rate**k for k in range(30)]
+    watch.changes.append(1.1 * watch.changes[-1])
+    assert watch._too_slow(70) is slow
+
+
 @pytest.mark.parametrize(("pull", "ratio", "finest"), [(-2e7, 25, 12), (5e7, 100, 16)])
 def test_a_stiff_slave_on_a_soft_master_is_handed_over(pull, ratio, finest):
     """Little friction: left alone, cycles from zero take 39, in the last case more than 100."""
