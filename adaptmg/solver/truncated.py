@@ -187,7 +187,7 @@ class TruncatedIteration(StopTest):
         if not 0 < rate < 1:
             return True
         gap = max(self._remaining(rate) / self.rtol, self.residual / (self.RESIDUAL_FACTOR * self.rtol), 1.0)
-        return np.log(gap) > self.MOST * left * -np.log(rate)
+        return bool(np.log(gap) > self.MOST * left * -np.log(rate))
 
 
 _LOG = logging.getLogger(__name__)

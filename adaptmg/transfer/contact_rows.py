@@ -120,7 +120,8 @@ def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.c
         raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
                          f"got {returned.shape}")
     nodal = check_arrays.sparse_matrix(f"what transfer.build of {checks.shown(transfer)} returns", returned)
-    nodal = sparse.csr_array(nodal, dtype=np.float64)
+    # products sort in place, and prolongations are read-only
+    nodal = sparse.csr_array(nodal, dtype=np.float64).sorted_indices()
     largest = np.abs(nodal.data).max(initial=0.0)
     if not 1 / checks.VAST <= largest <= checks.VAST:
         raise ValueError(f"transfer.build of {checks.shown(transfer)} must return weights of about 1, the largest is "
