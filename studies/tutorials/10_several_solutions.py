@@ -25,7 +25,7 @@ figure, axes = plt.subplots(1, 3, figsize=(9, 3.6), layout="constrained")
 for ax, (start, result) in zip(axes, results.items(), strict=True):
     closed = result.contact.state[result.contact.state != am.OPEN]
     state = {am.SLIP: "slips", am.STICK: "sticks"}[closed[0]] if len(closed) else "is open"
-    am.plot.deformation(result, ax, amplify=300)
+    am.plot.deformation(result, ax=ax, amplify=300)
     ax.set_title(f"start: {start}\nthe foot {state}, residual {result.residual:.0e}")
 
 # %%
