@@ -56,8 +56,9 @@ def main() -> int:
     shutil.rmtree(out, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
         source = write_sources(Path(folder) / "source")
-        code = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-j", "auto", "-b", "html",
-                               "-d", str(Path(folder) / "doctrees"), str(source), str(out)], check=False).returncode
+        code = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-j", "auto",
+                               "-b", "html", "-d", str(Path(folder) / "doctrees"), str(source), str(out)],
+                              check=False).returncode
     if not code:
         print(f"documentation: {out / 'index.html'}")
     return 1 if code else 0

@@ -92,7 +92,7 @@ class Estimate:
 
     @property
     def relative(self) -> float:
-        """``total`` over ||u_h||_A; of a goal over ``|value|``, infinite where that is 0, unless all squares are too."""
+        """``total`` over ||u_h||_A; of a goal over ``|value|``, infinite where that is 0 and a square is not."""
         size = self.norm if self.value is None else abs(self.value)
         if size > 0:
             return self.total / size
