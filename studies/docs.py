@@ -57,8 +57,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         source = write_sources(Path(folder) / "source")
         code = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-j", "auto",
-                               "-b", "html",
-                               "-d", str(Path(folder) / "doctrees"), str(source), str(out)], check=False).returncode
+                               "-b", "html", "-d", str(Path(folder) / "doctrees"), str(source), str(out)],
+                              check=False).returncode
     if not code:
         print(f"documentation: {out / 'index.html'}")
     return 1 if code else 0

@@ -90,7 +90,7 @@ class Estimate:
 
     @property
     def relative(self) -> float:
-        """``total`` over ||u_h||_A; of a goal over ``|value|``, infinite where that alone is 0."""
+        """``total`` over ||u_h||_A; of a goal over ``|value|``, infinite where that is 0 and a square is not."""
         size = self.norm if self.value is None else abs(self.value)
         if size > 0:
             return self.total / size

@@ -29,7 +29,7 @@ __all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "OPEN", "SLIP", "SLIPS", "STIC
 
 @dataclass
 class NodalContact:
-    """The contact conditions in local components: w_n <= gap; ``|f_t| <= limit + friction * p``, against the slip.
+    """Contact conditions in local components: w_n <= gap; ``|f_t| <= limit + friction * p``; f_t against the slip.
 
     ``held``, in 3D: nodes whose first tangent alone is held by a support; minus its slip_reference is the slip along
     it. Their diagonal blocks have that entry with the sign turned (:mod:`adaptmg.smoother.node_solve`).

@@ -54,7 +54,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "scripts", "gallery_dirs": "tutorials", "filename_pattern": r"\.py$",
     "within_subsection_order": "FileNameSortKey", "abort_on_example_error": True, "capture_repr": ("_repr_html_",),
     "image_scrapers": ("matplotlib", _pictures),
-    "write_computation_times": False, "show_memory": False, "download_all_examples": False,
+    "write_computation_times": False, "show_memory": False, "min_reported_time": 1e9, "download_all_examples": False,
     "remove_config_comments": True, "plot_gallery": True,
 }
 

@@ -8,7 +8,7 @@ result: every session has these four parts.
 
 import adaptmg as am
 
-problem = am.cases.greco_bar(law=am.Coulomb(1.0))                    # lengths in m, pressures in Pa
+problem = am.cases.greco_bar(law=am.Coulomb(1.0))  # lengths in m, pressures in Pa
 grids = am.Hierarchy.graded(problem, sizes=(10e-3, 6e-3, 3.6e-3, 2.2e-3), contact_ratio=4)
 grids
 

@@ -16,7 +16,7 @@ class ThreeNearest:                                      # a transfer: inverse-d
         distance, node = cKDTree(coarse.points).query(fine.points, k=3)
         weight = 1 / np.maximum(distance, 1e-12)
         weight /= weight.sum(axis=1, keepdims=True)
-        entries = weight.ravel(), node.ravel(), np.arange(0, 3 * len(node) + 1, 3)
+        entries = weight.ravel(), (np.repeat(np.arange(fine.n_nodes), 3), node.ravel())
         return sparse.csr_array(entries, shape=(fine.n_nodes, coarse.n_nodes))
 
 

@@ -21,12 +21,13 @@ def near(law):
 results = {"zero": am.solve(grids, am.Multigrid()),
            "frictionless": am.solve(grids, am.Multigrid(), start=near(am.Frictionless())),
            "limit of 1 MPa": am.solve(grids, am.Multigrid(), start=near(am.Tresca(1e6)))}
-figure, axes = plt.subplots(1, 3, figsize=(9, 3.6), layout="constrained")
+figure, axes = plt.subplots(1, 3, figsize=(11, 4), layout="constrained")
 for ax, (start, result) in zip(axes, results.items(), strict=True):
     closed = result.contact.state[result.contact.state != am.OPEN]
     state = {am.SLIP: "slips", am.STICK: "sticks"}[closed[0]] if len(closed) else "is open"
-    am.plot.deformation(result, ax, amplify=300)
-    ax.set_title(f"start: {start}\nthe foot {state}, residual {result.residual:.0e}")
+    am.plot.deformation(result, ax=ax, amplify=300)
+    ax.set_title(f"start: {start}\nthe foot {state}", fontsize=9)
+    print(f"the foot {state}: residual {result.residual:.0e}")
 
 # %%
 # All three satisfy every condition. ``am.solve`` warns where friction exceeds an estimate of the critical coefficient.
