@@ -117,7 +117,7 @@ def test_the_campaign_of_loops_sees_spoilt_meshes_and_draws_every_problem():
     assert loops.mesh_faults(mesh, mesh, False) == []
     inside = mesh.points.copy()
     inside[0] = [0.1, 0.1]
-    for words, change in (("sizes", {"points": inside}), ("names differ", {"boundaries": ("a", *mesh.boundaries[1:])}),
+    for words, change in (("sizes", {"points": inside}), ("names of", {"boundaries": ("a", *mesh.boundaries[1:])}),
                           ("facets", {"elements": mesh.elements[1:], "element_body": None})):
         faults = loops.mesh_faults(dataclasses.replace(mesh, source=None, **change), mesh, False)
         assert any(words in fault for fault in faults), words
