@@ -26,8 +26,8 @@ import pandas as pd
 HERE = Path(__file__).resolve().parent
 MEASURED = HERE.parent / "data" / "measured"
 #: studies of a default run with their processor seconds; they appear in this order, the longest are begun first
-STUDIES = {"table_1_grids": 12, "table_2_smoothings": 15, "table_3_full_multigrid": 12, "dovetail": 30,
-           "bolted_junction": 30, "adaptive_vs_uniform": 90, "estimators": 30, "transfers": 30, "amg": 40}
+STUDIES = {"table_1_grids": 20, "table_2_smoothings": 30, "table_3_full_multigrid": 10, "dovetail": 35,
+           "bolted_junction": 22, "adaptive_vs_uniform": 90, "estimators": 60, "transfers": 40, "amg": 55}
 #: only with --full, or where they are named
 LARGE = {"hertz": 120, "benchmark": 300}
 TITLE = "adaptmg: multigrid for frictional contact"
