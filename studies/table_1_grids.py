@@ -16,16 +16,16 @@ from common import Output, chain, drawing, exact, grids, main, measured, paper
 import adaptmg as am
 
 TARGET = 1e-6
-MONOTONE = am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="complete"), rtol=TARGET,
+MONOTONE = am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="complete"), rtol=TARGET / 2,
                             coarse=am.CoarseSolve(condensed=False, rtol=1e-2))
 METHODS = {
-    "one grid": am.SingleGrid(rtol=TARGET),
-    "one grid, condensed, omega 1.5": am.SingleGrid(omega=1.5, condensed=True, rtol=TARGET),
+    "one grid": am.SingleGrid(rtol=TARGET / 2),
+    "one grid, condensed, omega 1.5": am.SingleGrid(omega=1.5, condensed=True, rtol=TARGET / 2),
     "monotone, complete to 1e-2": MONOTONE,
     "monotone, complete to 1e-4": replace(MONOTONE, coarse=am.CoarseSolve(condensed=False, rtol=1e-4)),
     "monotone, V": replace(MONOTONE, cycle=am.Cycle(shape="V")),
-    "default (truncated)": am.FullMultigrid(rtol=TARGET),
-    "the paper's mode": replace(MONOTONE, correction=am.PaperCorrection(), stop="change"),
+    "default (truncated)": am.FullMultigrid(rtol=TARGET / 2),
+    "the paper's mode": replace(MONOTONE, correction=am.PaperCorrection(), stop="change", rtol=TARGET),
 }
 
 
