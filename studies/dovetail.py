@@ -23,7 +23,8 @@ METHODS = {
     "one grid, omega 1.97": am.SingleGrid(omega=1.97, rtol=TARGET / 2, max_sweeps=20_000),
     "one grid, condensed, omega 1.8": am.SingleGrid(omega=1.8, condensed=True, rtol=TARGET / 2, max_sweeps=20_000),
     "active set, direct": am.ActiveSet(rtol=TARGET / 2),
-    "monotone, W": am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="W"), rtol=TARGET / 2, max_cycles=300),
+    "monotone, W": am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="W"), rtol=TARGET / 2,
+                                    max_cycles=300),
     "default from zero": am.Multigrid(rtol=TARGET / 2),
     "default (truncated)": am.FullMultigrid(rtol=TARGET / 2),
 }
