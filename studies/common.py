@@ -204,7 +204,7 @@ def compare(out: Output, run: Callable[..., dict[str, Any]], methods: Sequence[s
     table = table.rename(columns={"levels": "grids", "solve_seconds": "seconds"})
     first = table.loc[table["seconds"].idxmin()]
     n = first["grids"]
-    out.table("methods", table, caption, f"Quickest in this run: {first['method']}{f' on {n} grids' * (n > 1)}, "
+    out.table("methods", table, caption, f"Quickest in this run: {first['method']}{f' on {n} grids' * int(n > 1)}, "
               f"{first['seconds']:.3f} s.", units={"work": "WU", "seconds": "s"},
               formats={"work": ".1f", "seconds": ".3f", "final_error": ".0e"})
     return table
