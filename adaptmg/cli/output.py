@@ -1,4 +1,5 @@
-"""Output of the commands: values as JSON, tables in blocks on a narrow terminal, log and progress on standard error."""
+"""Output of the commands: values and outcomes as JSON, files with pictures, tables in blocks on a narrow terminal, log
+and progress on standard error."""
 
 from __future__ import annotations
 
@@ -19,11 +20,12 @@ import numpy as np
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, write_bytes
-from adaptmg.cli.case_run import Solved
 from adaptmg.study.tables import as_text, cells
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from adaptmg.cli.case_run import Solved
 
 
 def finite(value: object) -> object:

@@ -1,7 +1,8 @@
 """Study files: TOML that describes case, grids, solver, load path, adaptation, measures, and the settings that vary.
 
 The keys are the arguments of the classes and functions that take them (:mod:`adaptmg.cli.build`), which check the
-values before anything runs. A message about a file begins with its name and, where it is known, the line.
+values before anything runs. A message about a file begins with its name and, where it is known, the line. Texts about
+study files follow: all keys and measures, the arguments of a case, a file to begin with.
 """
 
 from __future__ import annotations
