@@ -8,13 +8,13 @@ Problem     ContactProblem; Contact or ContactPair (obstacles Plane, GapFunction
 Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
 Domain      Rectangle, Circle, Polygon, Outline; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut, Fuse,
             Common, Moved; Assembly of several bodies; ready problems in cases, problem data in problem
-Grids       Hierarchy of Levels: uniform, graded, from_meshes, ...; transfers Interpolation, PseudoL2, L2, LumpedL2,
+Grids       Hierarchy, each Level: uniform, graded, from_meshes, ...; transfers Interpolation, PseudoL2, L2, LumpedL2,
             QuasiInterpolation; mesh, MeshArrays, SizeNear
 Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG
 Ingredients Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel; corrections Truncated, Monotone, PaperCorrection;
             modules multigrid, smoother, transfer, solver
 Result      Result, Status, NotConverged, Certificate, PathResult; contact states OPEN, SLIP, STICK
-Adapt       adapt, which yields Steps; indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
+Adapt       adapt, which yields a Step each; indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
             MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate, GoalEstimate;
             module estimate
 Matrices    discretise, DiscreteProblem, ContactNodes; discrete
