@@ -85,7 +85,7 @@ def _public() -> dict[str, object]:
 WITHOUT_EXAMPLE = {
     "cases.TransitionField", "cases.bolt_force", "cases.flat_punch_meshes", "cases.joint_opening",
     "cases.line_contact_meshes", "cases.open_to", "cases.pressure_fit", "cases.sealing_pressure", "mesh.coarsen",
-    "mesh.from_gmsh", "mesh.from_step", "mesh.onto_domain", "mesh.step_names", "mesh.to_ngsolve", "mesh.with_source",
+    "mesh.from_step", "mesh.onto_domain", "mesh.step_names", "mesh.to_ngsolve", "mesh.with_source",
     "study.local_cluster"}
 
 

@@ -225,6 +225,11 @@ class Symmetry(_Holds):
     ----------
     boundary : str
         Name of the boundary, which must be plane and normal to a coordinate axis.
+
+    Examples
+    --------
+    >>> am.Symmetry("left").boundary
+    'left'
     """
 
     boundary: str
@@ -247,6 +252,11 @@ class PointSupport(_Prescribes, _AtPoint):
         Prescribed displacement, m.
     body : str, optional
         Name of the body, where nodes of several lie at the point.
+
+    Examples
+    --------
+    >>> am.PointSupport((0, 0), x=0).x
+    0.0
     """
 
     point: tuple[float, ...]
@@ -270,6 +280,11 @@ class Spring(_Holds):
         Name of the boundary.
     normal, tangential : float or callable
         Stiffness along and across the normal, N/m^3 (Pa per m), >= 0.
+
+    Examples
+    --------
+    >>> am.Spring("foot", normal=1e9).tangential
+    0.0
     """
 
     boundary: str
@@ -294,6 +309,11 @@ class PointSpring(_AtPoint):
         Stiffness, N/m (plane: per metre of thickness; axisymmetric: of the full circumference), >= 0.
     body : str, optional
         Name of the body, where nodes of several lie at the point.
+
+    Examples
+    --------
+    >>> am.PointSpring((0, 0), y=1e9).y
+    1000000000.0
     """
 
     point: tuple[float, ...]

@@ -10,7 +10,7 @@ from pictures import texts
 import adaptmg as am
 from adaptmg import plot
 
-NAMES = ("a$b$c", r"_$\frac{", "<b>&amp; 50 % #1 ~^{ends\\")
+NAMES = ("a$b$c", "_$\\frac{<b>&amp; 50 % #1 ~^{ends\\")
 
 
 def posed(name: str, dim: int) -> tuple[am.ContactProblem, am.MeshArrays]:
@@ -44,8 +44,9 @@ def test_every_picture_shows_odd_names_unchanged(dim, name):
     for figure, expected in (
             (plot.problem(problem, mesh=mesh if dim == 3 else None), name), (plot.contact(result), name),
             (plot.deformation(result, states=True), name), (plot.deformation(result, stress=True), name),
-            (plot.history(result), name), (plot.history({name: result, "other": result}), label),
-            (plot.load_history([result] * 2, [0, 1], {name: lambda r: 1.0}, against=name), name)):
+            *(() if dim == 3 else (
+                (plot.history(result), name), (plot.history({name: result, "other": result}), label),
+                (plot.load_history([result] * 2, [0, 1], {name: lambda r: 1.0}, against=name), name)))):
         found = [text.replace("$", "") if expected == "abc" else text for text in texts(figure)]
         assert any(expected in text for text in found), (found, expected)
 

@@ -106,8 +106,8 @@ def test_runs_over_their_limits_are_stopped(cluster):
             return {"m": len(kept)}
         return {"m": 1}
 
-    over = "TimeLimit: stopped after limit_s=1 s"
-    timed = Study(run, {"what": ["short", "long", "locked"]}).run(progress=False, scheduler=cluster, limit_s=1)
+    over = "TimeLimit: stopped after limit_s=3 s"
+    timed = Study(run, {"what": ["short", "long", "locked"]}).run(progress=False, scheduler=cluster, limit_s=3)
     assert timed["error"].tolist() == ["", over, over] and timed["m"][0] == 1
     held = Study(run, {"what": ["short", "large"]}).run(progress=False, scheduler=cluster, memory_limit=1e9)
     assert held["status"].tolist() == ["done", "failed"] and held["error"][1].startswith("MemoryLimit")
