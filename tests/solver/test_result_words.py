@@ -87,7 +87,9 @@ def examples(folder: Path) -> list[object]:
         am.Solid(young=1.0, poisson=0.3), am.ContactForce("bottom", "y"), am.MeanDisplacement("left", "x"),
         am.Opening("bottom", (0.0, 0.0)), am.Status.CONVERGED, am.AMG(), am.Direct(), am.Cycle(),
         am.ProjectedGaussSeidel(), am.ContactPair("a.left", "b.right"), am.Moved(ball, offset=(1.0, 0.0, 0.0)),
-        am.Revolution(am.Rectangle(width=1.0, height=1.0).polygon, 90.0)]
+        am.Revolution(am.Rectangle(width=1.0, height=1.0).polygon, 90.0),
+        am.Circle((0, 0), 1.0), am.PointSupport((0, 0), x=0.0), am.PointSpring((0, 0), x=1.0), am.Symmetry("left"),
+        am.Spring("left", normal=1.0)]
 
 
 def test_every_public_object_describes_itself_briefly(tmp_path):
