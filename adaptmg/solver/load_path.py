@@ -271,7 +271,8 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         warn_of_large_friction(loop.examiner)
         advise_on_problem(grids.problem, getattr(grids.finest, "mesh", None))
     for k in range(len(results), len(path)):
-        result = replace(loop.step(k, progress if callable(progress) else None), choice=choice)
+        result = loop.step(k, progress if callable(progress) else None)
+        result = replace(result, choice=choice, mesh=getattr(result, "mesh", None))
         if progress is True:
             say(loop.report(k, result))
         results.append(result)
