@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from adaptmg.mesh.arrays import (
     FacetTable,
@@ -296,6 +295,8 @@ def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
     if len(facets) == 0:
         return np.empty((0, mesh.dim))
     places = np.concatenate([mesh.points[np.unique(facets)], mesh.points[facets].mean(axis=1)])
+    from scipy.spatial import cKDTree  # a first solve without it starts sooner
+
     tree = cKDTree(places)
     corners = mesh.points[elements]
     centre = corners.mean(axis=1)

@@ -55,11 +55,12 @@ def _grow(indptr, indices, group, sizes, most_deep, label):
 
 
 @kernel
-def _join(indptr, indices, group, sizes, remnant, label, count):
-    """Remnants join their smallest neighbour; returns the number of aggregates left, numbered again."""
-    n = len(label)
-    members, home = np.zeros(count, dtype=np.int32), np.arange(count)
-    of, best = np.zeros(count, dtype=np.int32), np.full(count, -1)
+def _join(indptr, indices, group, sizes, remnant, label, members, of, best):
+    """Remnants join their smallest neighbour; returns the number of aggregates left, numbered again.
+
+    ``members``, ``of`` and ``best`` (n_aggregates,) come as 0, 0 and -1.
+    """
+    n, count = len(label), len(best)
     for i in range(n):
         if label[i] >= 0:
             members[label[i]] += 1
@@ -74,16 +75,15 @@ def _join(indptr, indices, group, sizes, remnant, label, count):
             if remnant * members[other] >= sizes[group[i]] and (
                     best[label[i]] < 0 or members[other] < members[best[label[i]]]):
                 best[label[i]] = other
-    number, left = np.full(count, -1), 0
+    left = 0
     for a in range(count):
         if best[a] < 0:
-            number[a] = left
+            of[a] = left
             left += 1
-    for a in range(count):
-        home[a] = number[best[a]] if best[a] >= 0 else number[a]
     for i in range(n):
         if label[i] >= 0:
-            label[i] = home[label[i]]
+            home = best[label[i]]
+            label[i] = of[home] if home >= 0 else of[label[i]]
     return left
 
 
@@ -121,9 +121,11 @@ def _arrange(label, points, count, order, starts, offset):
 
 
 @kernel
-def _pattern(indptr, indices, label, order, starts, coarse_indptr, coarse_indices):
-    """Aggregates J met from rows i <= j of each aggregate I, as rows of a matrix; ``coarse_indices`` may be empty."""
-    seen = np.full(len(starts) - 1, -1)
+def _pattern(indptr, indices, label, order, starts, coarse_indptr, seen, coarse_indices):
+    """Aggregates J met from rows i <= j of each aggregate I, as rows of a matrix.
+
+    ``coarse_indices`` may be empty; ``seen`` (n_aggregates,) comes as -1.
+    """
     count = 0
     for a in range(len(starts) - 1):
         seen[a] = a
@@ -162,15 +164,16 @@ class Aggregates:
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
         self.label = np.full(n, -1, dtype=np.int32)
         count = _grow(matrix.indptr, matrix.indices, group, sizes, depth, self.label)
-        count = _join(matrix.indptr, matrix.indices, group, sizes, _REMNANT, self.label, count)
+        count = _join(matrix.indptr, matrix.indices, group, sizes, _REMNANT, self.label,
+                      np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.int32), np.full(count, -1))
         self.order, self.starts = np.empty(n, dtype=np.int32), np.empty(count + 1, dtype=np.int32)
         self.offset = np.zeros((n, dim))
         points = np.empty((0, dim)) if problem.coordinates is None else problem.coordinates
         _arrange(self.label, points, count, self.order, self.starts, self.offset)
         self.indptr = np.zeros(count + 1, dtype=np.int32)
         given = matrix.indptr, matrix.indices, self.label, self.order, self.starts, self.indptr
-        self.indices = np.empty(_pattern(*given, np.empty(0, dtype=np.int32)), dtype=np.int32)
-        _pattern(*given, self.indices)
+        self.indices = np.empty(_pattern(*given, np.full(count, -1), np.empty(0, dtype=np.int32)), dtype=np.int32)
+        _pattern(*given, np.full(count, -1), self.indices)
         self._number_entries(count, 3 * dim - 3)
 
     def _number_entries(self, count: int, modes: int) -> None:

@@ -175,9 +175,13 @@ class _Forces:
 
     def least_unbalanced(self, work: np.ndarray) -> tuple[float, np.ndarray]:
         """Smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it is done."""
+        k, n_edges = self.edges.shape
+        if k == 1:  # without the library of linear programmes, whose import takes a tenth of a first small solve
+            balanced = (self.edges[0] * np.sign(work) < -_STILL).any()
+            left = abs(work[0]) - np.abs(self.segments[0]) @ self.limits
+            return 0.0 if balanced else max(float(left), 0.0), np.sign(work)
         from scipy.optimize import linprog
 
-        k, n_edges = self.edges.shape
         columns = np.hstack([self.edges, self.segments, np.eye(k), -np.eye(k)])
         bounds = np.zeros((columns.shape[1], 2))
         bounds[:, 1] = np.inf

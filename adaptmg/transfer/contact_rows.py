@@ -24,7 +24,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -155,6 +154,8 @@ def _among(known: np.ndarray, rows: sparse.csr_array, points: np.ndarray, coarse
     kept = sparse.csr_array(rows @ sparse.diags_array(np.isin(np.arange(rows.shape[1]), known).astype(float)))
     sums = np.asarray(kept.sum(axis=1)).ravel()
     lost = np.flatnonzero(sums <= 1e-10)
+    from scipy.spatial import cKDTree  # a first solve without it starts sooner
+
     nearest = known[cKDTree(coarse_points[known]).query(points[lost])[1]]
     filled = sparse.csr_array((np.ones(len(lost)), (lost, nearest)), shape=rows.shape)
     scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 1e-10)

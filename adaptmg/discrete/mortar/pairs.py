@@ -22,7 +22,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
@@ -107,6 +106,8 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     """Couple each node of a slave surface to the nearest node of a master surface."""
     points, normals = surfaces.points, surfaces.normals
     nodes = np.flatnonzero(surfaces.carries)
+    from scipy.spatial import cKDTree  # a first solve without it starts sooner
+
     partner = surfaces.master_nodes[cKDTree(points[surfaces.master_nodes]).query(points[nodes])[1]]
     apart, normal = points[partner] - points[nodes], normals[nodes]
     gaps = np.einsum("nd,nd->n", apart, normal)
