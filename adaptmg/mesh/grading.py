@@ -57,9 +57,11 @@ _NETGEN_RATIO = 16.0
 _FURTHER, _FACTOR = 8.0, 0.85
 #: how many times larger than wanted the elements of a draft may be by dimension, nodes that it has at least, and
 #: the least mean shape of its elements (long ones across thin parts keep theirs when they are refined)
-_FACTORS, _LEAST, _SHAPES = {2: (8, 4, 2, 1), 3: (2, 1)}, {2: 150, 3: 30}, {2: 0.75, 3: 0.55}
+_FACTORS, _LEAST, _SHAPES = {2: (8, 4, 2, 1), 3: (4, 2, 1)}, {2: 150, 3: 30}, {2: 0.75, 3: 0.55}
 # by how much coarser still the mesh is at whose nodes and centroids Netgen is given the sizes of a draft
-_FIRST = 4
+_FIRST = 2
+# growth of sizes in a draft at most: tetrahedra get flat where they grow faster
+_GROWTH = {2: 1.0, 3: 0.6}
 MESHERS = ("bisection", "netgen")
 
 
@@ -85,7 +87,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         How often Netgen meshes again by the size field (for ratios above 1; not of solids).
     mesher : {"bisection", "netgen"}
         What makes small elements: bisection of a coarse mesh by Netgen and improvement of shapes, which take a
-        tenth of the time (boxes: half), or Netgen alone. Solids other than boxes are left to Netgen.
+        tenth of the time, or Netgen alone. Solids other than boxes are left to Netgen.
 
     Returns
     -------
@@ -169,7 +171,7 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
                 np.minimum(size, contact_size + growth * distance_to_boundaries(domain, names, x)))
 
     def draft(factor: int) -> MeshArrays:
-        growth = min(1.0, factor * grading)
+        growth = min(1.0, max(grading, min(_GROWTH[domain.dim], factor * grading)))
         sides = dict.fromkeys(names, factor * start) if ratio > 1 else {}
 
         def scaled(x: np.ndarray) -> np.ndarray:
