@@ -1,7 +1,7 @@
 r"""drafted: meshes by a size field, made of a coarse draft of Netgen that is refined and improved in arrays.
 
-Netgen's draft has edges of :math:`k = 4` or 8 (3D: 2) times the field f, which may then grow k times as fast; it is the
-only part that is not nested in other meshes, and takes :math:`k^{-d}` of the time that Netgen would take for the whole.
+Netgen's draft has edges of k (near 2, 4 or 8) times the field f, which may then grow k times as fast; it is the only
+part that is not nested in other meshes, and takes :math:`k^{-d}` of the time that Netgen would take for the whole.
 With the size e of an element (the edge of the equilateral one of the same measure) and the mean w of f at its corners,
 it is refined until almost no element has :math:`e > 1.25 w` (tetrahedra :math:`\sqrt 2 w`), no boundary facet is longer
 than 1.4 f (also where no element is too large: one facet of twice the length next to a re-entrant corner doubles the

@@ -56,10 +56,13 @@ _NETGEN_RATIO = 16.0
 # triangles have about 1.2 times the edges they are asked for
 _FURTHER, _FACTOR = 8.0, 0.85
 #: how many times larger than wanted the elements of a draft may be by dimension, nodes that it has at least, and
-#: the least mean shape of its elements (long ones across thin parts keep theirs when they are refined)
-_FACTORS, _LEAST, _SHAPES = {2: (8, 4, 2, 1), 3: (2, 1)}, {2: 150, 3: 30}, {2: 0.75, 3: 0.55}
+#: the least mean shape of its elements (long ones across thin parts keep theirs when they are refined);
+#: in 3D not powers of two, which would refine levels whose sizes are halved from one draft
+_FACTORS, _LEAST, _SHAPES = {2: (8, 4, 1), 3: (4, 1.8, 1)}, {2: 300, 3: 30}, {2: 0.75, 3: 0.55}
 # by how much coarser still the mesh is at whose nodes and centroids Netgen is given the sizes of a draft
-_FIRST = 4
+_FIRST = 2
+# growth of sizes in a draft at most: tetrahedra get flat where they grow faster
+_GROWTH = {2: 1.0, 3: 0.6}
 MESHERS = ("bisection", "netgen")
 
 
@@ -85,7 +88,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         How often Netgen meshes again by the size field (for ratios above 1; not of solids).
     mesher : {"bisection", "netgen"}
         What makes small elements: bisection of a coarse mesh by Netgen and improvement of shapes, which take a
-        tenth of the time (boxes: half), or Netgen alone. Solids other than boxes are left to Netgen.
+        tenth of the time, or Netgen alone. Solids other than boxes are left to Netgen.
 
     Returns
     -------
@@ -168,8 +171,8 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
         return (np.full(len(x), size) if ratio == 1 else
                 np.minimum(size, contact_size + growth * distance_to_boundaries(domain, names, x)))
 
-    def draft(factor: int) -> MeshArrays:
-        growth = min(1.0, factor * grading)
+    def draft(factor: float) -> MeshArrays:
+        growth = min(1.0, max(grading, min(_GROWTH[domain.dim], factor * grading)))
         sides = dict.fromkeys(names, factor * start) if ratio > 1 else {}
 
         def scaled(x: np.ndarray) -> np.ndarray:
@@ -183,7 +186,7 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
     return _made(domain, nodes, draft, field, mesher)
 
 
-def _made(domain: Domain, nodes: float, draft: Callable[[int], MeshArrays], field: SizeField, mesher: str
+def _made(domain: Domain, nodes: float, draft: Callable[[float], MeshArrays], field: SizeField, mesher: str
           ) -> MeshArrays:
     """A mesh of about ``nodes`` nodes of the coarsest draft that has enough elements and good shapes."""
     if mesher == "netgen":
@@ -261,10 +264,10 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
         return np.minimum(sizes_at(size_function, x), max_size)
 
     # Netgen alone sees a field that is cut off at the ratio it can take
-    def limited(factor: float, ratio: float, coarser: int = 1) -> SizeField:
+    def limited(factor: float, ratio: float, coarser: float = 1) -> SizeField:
         return lambda x: np.maximum(factor * wanted(x), coarser * max_size / ratio)
 
-    def draft(factor: int) -> MeshArrays:
+    def draft(factor: float) -> MeshArrays:
         if mesher == "netgen" and rounds <= 2:
             return netgen_mesh(domain, limited(1.0, _NETGEN_RATIO), max_size, {}, grading, rounds)
         fields = [limited(factor * (_FACTOR if rounds > 2 else 1.0), _NETGEN_RATIO * _FURTHER**max(0, k - 1), factor)

@@ -52,7 +52,7 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
         options = {"maxh": unit * max_size, "grading": grading}
         # the steps that improve shapes take most of the time: here only nodes and centroids are used
         if not callable(sizes) and step < rounds:
-            options |= {"optsteps2d": 0}
+            options |= {"optsteps2d": 0, "optsteps3d": 0}
         mesh = one_mesh(domain, lower, scale, {name: unit * h for name, h in side_sizes.items()}, options, at, nodes)
         if step < rounds:
             places = mesh.points[mesh.elements].mean(axis=1)
