@@ -9,6 +9,7 @@ from bodies import bar_hierarchy, bar_on_block
 from scipy.sparse.linalg import spsolve
 
 import adaptmg as am
+from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.record import Outcome
 
@@ -255,3 +256,24 @@ def test_faults_of_friction_at_supports_are_caught():
     share = np.zeros_like(contact.master_force)
     share[np.argmax(np.abs(contact.master_force[:, 0])), 0] = 0.1 * np.abs(contact.master_force).max()
     assert "equilibrium" in found(master_force=contact.master_force + share)
+
+
+@pytest.mark.parametrize("problem", [am.cases.greco_bar(), am.cases.greco_block()], ids=["2D", "3D"])
+def test_the_coarse_correction_is_galerkins(problem):
+    discrete = am.Hierarchy.uniform(problem, divisions=(17 if problem.dim == 2 else 6,)).finest.discrete
+    found, n, dim = Aggregates(discrete), discrete.n_nodes, discrete.dim
+    matrix, modes, rows = discrete.matrix, 3 * dim - 3, np.flatnonzero(found.label >= 0)
+    motions = np.zeros((n, dim, len(found.indptr) - 1, modes))
+    turns = np.array([[[0, -1], [1, 0]]] if dim == 2 else
+                     [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]],
+                      [[0, -1, 0], [1, 0, 0], [0, 0, 0]]])
+    own = np.einsum("qij,nj->niq", turns, found.offset)
+    motions[rows, :, found.label[rows], :dim] = np.eye(dim)
+    motions[rows, :, found.label[rows], dim:] = own[rows]
+    basis, added = motions.reshape(n * dim, -1), np.diag(matrix.diagonal())
+    diagonal = np.stack([(matrix + added)[dim * i:dim * i + dim, dim * i:dim * i + dim] for i in range(n)])
+    coarse = CoarseMatrix(found, matrix, diagonal, np.full(n, -1, dtype=np.int32), np.empty((0, dim, dim)))
+    residual, result = np.random.default_rng(0).standard_normal(n * dim), np.zeros(n * dim)
+    coarse.correct(residual, result)
+    expected = basis @ np.linalg.solve(basis.T @ (matrix + added) @ basis, basis.T @ residual)
+    np.testing.assert_allclose(result, expected, atol=1e-8 * abs(expected).max())
