@@ -26,10 +26,6 @@ from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.materials import Axisymmetric, Elastic
 
-__all__ = ["Materials", "add_axisymmetric", "add_plane", "add_solid", "body_materials", "count_neighbours",
-           "fill_neighbours", "is_axisymmetric", "lame_constants", "list_elements", "plane_gradients",
-           "solid_gradients", "stiffness"]
-
 #: one material for all bodies, body name -> material, or what :func:`body_materials` returns
 Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]
 
@@ -158,11 +154,8 @@ def list_elements(elements, start, listed):
 
 @kernel
 def count_neighbours(elements, start, listed, marker, indptr):
-    """Row pointers of the pattern: nodes that share an element, each node with itself.
-
-    ``start`` (n_nodes + 1,) comes as 0; ``listed`` (elements.size,) and it are filled for the next kernel.
-    ``marker`` (n_nodes,) comes as -1.
-    """
+    """Row pointers of the pattern: nodes that share an element, each node with itself. ``start`` (n_nodes + 1,) comes
+    as 0; ``listed`` (elements.size,) and it are filled for the next kernel. ``marker`` (n_nodes,) comes as -1."""
     list_elements(elements, start, listed)
     indptr[0] = 0
     for i in range(len(start) - 1):
@@ -177,11 +170,9 @@ def count_neighbours(elements, start, listed, marker, indptr):
 
 @kernel
 def fill_neighbours(elements, start, listed, marker, end, indices):
-    """Columns of the pattern, ascending. ``end`` (n_nodes,) comes as ``indptr[:-1]``, ``marker`` as -1.
-
-    The pattern is symmetric: when rows are run through in order and i is written into the rows of its neighbours,
-    every row is sorted.
-    """
+    """Columns of the pattern, ascending. ``end`` (n_nodes,) comes as ``indptr[:-1]``, ``marker`` as -1. The pattern is
+    symmetric: when rows are run through in order and i is written into the rows of its neighbours, every row is
+    sorted."""
     for i in range(len(start) - 1):
         for at in range(start[i], start[i + 1]):
             for v in elements[listed[at]]:
@@ -271,10 +262,8 @@ def add_plane(points, elements, body, lame, shear, indptr, indices, data):
 @kernel
 def add_solid(points, elements, body, lame, shear, start, listed, indptr, indices, data):
     """Add the element matrices of solid elasticity, row by row; ``lame`` and ``shear`` are those of the bodies.
-
     ``listed`` are the elements of each node. Both halves of the matrix are written when the row of the smaller node is
-    summed: the blocks of a row and those of its transpose come from the elements in the same order.
-    """
+    summed: the blocks of a row and those of its transpose come from the elements in the same order."""
     g, of = np.empty((len(elements), 4, 3)), np.empty((len(elements), 2))
     for e in range(len(elements)):
         volume = solid_gradients(points, elements[e], g[e])
@@ -320,10 +309,8 @@ def add_solid(points, elements, body, lame, shear, start, listed, indptr, indice
 
 @kernel
 def add_axisymmetric(points, elements, body, lame, shear, rule, weights, indptr, indices, data):
-    """Add the element matrices of axisymmetric elasticity, x = r, y = z, over the full circumference.
-
-    ``rule`` (n, 3) and ``weights`` (n,), of sum 1, are the barycentric points and weights of int . / r.
-    """
+    """Add the element matrices of axisymmetric elasticity, x = r, y = z, over the full circumference. ``rule`` (n, 3)
+    and ``weights`` (n,), of sum 1, are the barycentric points and weights of int . / r."""
     g, hoop = np.empty((3, 2)), np.empty((3, 3))
     for e in range(len(elements)):
         area = plane_gradients(points, elements[e], g)

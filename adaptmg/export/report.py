@@ -34,9 +34,6 @@ from adaptmg._text import printable
 from adaptmg.solver.result import versions
 from adaptmg.study.tables import cells, numeric
 
-__all__ = ["DENSE", "LONGEST", "Column", "Picture", "Report", "columns_of", "count", "label", "lead", "one_line",
-           "picture_of", "small_png", "worded"]
-
 _BLANK = re.compile(r"[ \t\n\v\f\r]+")
 #: marks that override the direction of writing
 _TURNS = re.compile("[\u202a-\u202e]")
@@ -134,10 +131,8 @@ class _Table:
 
 def columns_of(frame: pd.DataFrame, units: Mapping[str, str] | None = None,
                formats: Mapping[str, str] | None = None) -> list[Column]:
-    """Return the columns of a table; ValueError where units or formats name others.
-
-    A format such as ``.4g`` drops trailing zeros; a column with more digits than are shown keeps them.
-    """
+    """Return the columns of a table; ValueError where units or formats name others. A format such as ``.4g`` drops
+    trailing zeros; a column with more digits than are shown keeps them."""
     units, formats = dict(units or {}), dict(formats or {})
     measured = {}
     for name, column in frame.select_dtypes("float").items():

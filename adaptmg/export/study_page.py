@@ -23,8 +23,6 @@ from adaptmg import _checks as checks
 from adaptmg.export.report import LONGEST, Report, count, label, worded
 from adaptmg.plot.style import CYCLE, plain, styled
 
-__all__ = ["Axis", "axes_of_study", "caption", "curves", "numbers", "study_report"]
-
 #: columns of a study that are neither parameters nor results, and the status of runs that are drawn
 _STATUS, _ERROR, _DONE = "status", "error", "done"
 #: columns of the table that describes the results of all runs
@@ -156,10 +154,8 @@ def numbers(column: pd.Series) -> pd.Series | None:
 
 
 def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:
-    """Return the axis, the numeric parameter with most values; None if none varies.
-
-    A parameter that is different in every run (a seed) is chosen only where all are.
-    """
+    """Return the axis, the numeric parameter with most values; None if none varies. A parameter that is different in
+    every run (a seed) is chosen only where all are."""
     counts = {name: _keys(table[name]).nunique() for name in parameters}
     varied = [name for name in parameters if counts[name] > 1]
     if not varied:

@@ -23,9 +23,6 @@ from adaptmg.mesh.picture import svg
 if TYPE_CHECKING:
     import ngsolve
 
-__all__ = ["MOST_NODES", "FacetTable", "MeshArrays", "Refinement", "components", "element_facets", "facet_keys",
-           "facet_table", "longest_edges", "normalised", "same_orientation", "sound_by_construction", "trusted"]
-
 # of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
 _LABELS = ("facet_labels", "element_body")
 
@@ -49,11 +46,8 @@ def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """The history of a bisected mesh, as frozen arrays.
-
-    The corners of such a mesh's elements are in the order of bisection: the edge between the first two is halved next.
-    An element that was bisected is a row of the tree.
-    """
+    """The history of a bisected mesh, as frozen arrays. The corners of such a mesh's elements are in the order of
+    bisection: the edge between the first two is halved next. An element that was bisected is a row of the tree."""
 
     parents: np.ndarray  # (n_nodes, 2) int32: a new node is halfway between them
     marks: np.ndarray  # (n_elements,) int8: marked edges of tetrahedra; 0 of triangles

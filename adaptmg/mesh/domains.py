@@ -9,9 +9,6 @@ import numpy as np
 from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle, distance_to_segments
 from adaptmg.problem.solid_domains import Assembly, Combination, SolidDomain, StepFile
 
-__all__ = ["BOX_SIDES", "boundary_measures", "check_domain", "distance_to_boundaries", "distance_to_segments",
-           "extent", "in_edges", "plane_measures", "require_simple"]
-
 #: axis, and lower (0) or upper (1) end of it; the vertical axis of a rectangle is its last one
 BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
 

@@ -33,8 +33,6 @@ from adaptmg.mesh.netgen_plane import (
 )
 from adaptmg.problem.plane_domains import Domain, Outline
 
-__all__ = ["drafted", "onto_arcs"]
-
 # elements and facets that are too large for the field, over it; by how much more most are before all are cut
 _LARGE, _LONG, _FAR = {2: 1.25, 3: 2**0.5}, 1.4, 1.3
 # share of the elements (of the facets) that may stay too large, though by less than this
@@ -48,10 +46,8 @@ _EQUILATERAL = {2: 3**0.5 / 4, 3: 2**0.5 / 12}
 
 
 def drafted(domain: Domain, draft: MeshArrays, field: SizeField) -> MeshArrays:
-    """Refine a sound draft of a plane domain or box to a size field, m.
-
-    The boundaries of an outline are called by the numbers of its edges in the draft, by their names in the result.
-    """
+    """Refine a sound draft of a plane domain or box to a size field, m. The boundaries of an outline are called by the
+    numbers of its edges in the draft, by their names in the result."""
     mesh, dim = draft, draft.dim
     for _ in range(dim * MAX_BISECTIONS):
         at = field(mesh.points)

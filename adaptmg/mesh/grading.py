@@ -47,8 +47,6 @@ from adaptmg.mesh.structured import boundaries_of, merged, per_body
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
-__all__ = ["MESHERS", "graded", "measures", "sized"]
-
 SizeFunction = float | Callable[[np.ndarray], np.ndarray]
 
 _NETGEN_RATIO = 16.0

@@ -22,8 +22,6 @@ import numpy as np
 from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays, trusted
 
-__all__ = ["cells_around", "halved", "improved", "improved_triangles", "moved_tetrahedra"]
-
 
 @kernel
 def cells_around(elements, n_nodes):
@@ -73,9 +71,7 @@ def _middle(head, following, highs, count, a, b):
 @kernel
 def _number(cells, ends, head, following, highs, lows, numbers):
     """Fill ``numbers`` (n, n_edges) of each cell's edges; ``head`` comes as -1. Returns how many edges there are.
-
-    Called for the elements first, then for the facets, whose edges are known.
-    """
+    Called for the elements first, then for the facets, whose edges are known."""
     count = 0
     for e in range(len(cells)):
         for k in range(len(ends)):

@@ -19,8 +19,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-__all__ = ["LIMIT_S", "MAX_NODES", "Netgen", "NetgenFails", "NetgenUnfinished", "meshing_limit", "netgen"]
-
 #: by dimension: what Netgen makes in about a quarter of an hour (0.2 ms a node in 2D, 0.7 ms in 3D)
 MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 #: by dimension, seconds: for the shape, and for each node (twenty times in 2D, five times in 3D what Netgen takes)

@@ -25,10 +25,6 @@ from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
 
-__all__ = ["MAX_BISECTIONS", "NODES_PER_CELL", "SizeField", "SizesAt", "equilateral_sizes", "expected_nodes",
-           "facet_elements", "finished", "growth", "guessed_nodes", "netgen_error", "netgen_mesh", "one_mesh",
-           "onto_outline", "refuse_too_many", "sizes_at", "too_large", "unreachable"]
-
 SizeField = Callable[[np.ndarray], np.ndarray]
 SizesAt = list[tuple[np.ndarray, np.ndarray]]
 """Points (n, dim) and sizes (n,) there, of the domain at unit size."""
@@ -169,11 +165,9 @@ def _straight_area(domain: Rectangle | Polygon | Outline, mesh: MeshArrays) -> f
 
 
 def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarray]:
-    """Mask of the elements to bisect, by their own size or that of a boundary facet; the field at their centroids.
-
-    A size is the edge of the equilateral simplex of the same measure: refinement halves it, unlike the longest edge.
-    Facets are looked at as well because centroids lie off the boundary.
-    """
+    """Mask of the elements to bisect, by their own size or that of a boundary facet; the field at their centroids. A
+    size is the edge of the equilateral simplex of the same measure: refinement halves it, unlike the longest edge.
+    Facets are looked at as well because centroids lie off the boundary."""
     sizes = field(mesh.points[mesh.elements].mean(axis=1))
     large = equilateral_sizes(mesh.points, mesh.elements) > _TOO_LARGE * sizes
     facets_large = (equilateral_sizes(mesh.points, mesh.facets)

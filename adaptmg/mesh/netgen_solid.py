@@ -50,9 +50,6 @@ from adaptmg.problem.solid_domains import (
     outline_of,
 )
 
-__all__ = ["CURVATURE", "Shape", "SolidSizes", "built_shape", "check_volume", "curved_nodes", "in_metres", "ordered",
-           "shape_mesh", "shape_tables", "solid_mesh"]
-
 CURVATURE = 2.0
 """On curved faces edges are at most their radius of curvature over this, about."""
 _NETGEN_RATIO = 16.0

@@ -125,11 +125,9 @@ def mesh_shape(face_sizes: Mapping[int, float], options: Mapping[str, float], si
 
 def _generated(geometry: SplineGeometry | OCCGeometry, options: Mapping[str, float], sizes: Sizes, refinements: int
                ) -> Tables:
-    """Netgen's mesh by sizes at points, every element then cut in four (3D: eight) some times.
-
-    The tetrahedra inside those that are cut are flat (mean quality .83 of 1 where Netgen's have .88): swapping faces
-    and moving nodes once brings them to .89, at a tenth of the cost of Netgen's own mesh of that size.
-    """
+    """Netgen's mesh by sizes at points, every element then cut in four (3D: eight) some times. The tetrahedra inside
+    those that are cut are flat (mean quality .83 of 1 where Netgen's have .88): swapping faces and moving nodes once
+    brings them to .89, at a tenth of the cost of Netgen's own mesh of that size."""
     # Netgen's threads spend more time waiting than the work takes: 3 to 30 times slower
     parameters = netgen.meshing.MeshingParameters(**options, parallel_meshing=False)
     for points, lengths in sizes:
@@ -169,11 +167,9 @@ def _box_geometry(domain: Box, lower: np.ndarray, scale: float, sides: Mapping[s
 
 def _spline_geometry(domain: Rectangle | Polygon | Outline, lower: np.ndarray, scale: float,
                      sides: Mapping[str, float]) -> SplineGeometry:
-    r"""Netgen's geometry of a plane domain; the edges of an outline are called by their numbers.
-
-    An arc becomes rational quadratic splines, which are exact circles: the middle control point is the meeting point of
-    the tangents, at the distance :math:`r / \cos(\theta / 2)` from the centre.
-    """
+    r"""Netgen's geometry of a plane domain; the edges of an outline are called by their numbers. An arc becomes
+    rational quadratic splines, which are exact circles: the middle control point is the meeting point of the tangents,
+    at the distance :math:`r / \cos(\theta / 2)` from the centre."""
     geometry = SplineGeometry()
     curved = isinstance(domain, Outline)
     vertices = domain.vertices if curved else domain.polygon.vertices
@@ -204,10 +200,8 @@ ShapeTables = tuple[list[str], list[float], float, np.ndarray]
 
 
 def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> ShapeTables:
-    """OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces, volume, bounding box.
-
-    OCC compares lengths with absolute tolerances of 1e-7: everything is built near unit size.
-    """
+    """OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces, volume, bounding box. OCC
+    compares lengths with absolute tolerances of 1e-7: everything is built near unit size."""
     shape = _shape(domain, origin, scale)
     if len(shape.solids) != 1:
         what = "nothing" if len(shape.solids) == 0 else f"{len(shape.solids)} pieces"
@@ -314,9 +308,7 @@ def _profile_face(profile: Profile, place: Callable[[np.ndarray], Pnt]) -> Face:
 
 def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoDS_Shape:
     r"""A boolean operation, which OCC may get wrong without an error: volumes are compared with the complementary ones,
-
-    :math:`|a \setminus b| + |a \cap b| = |a|` and :math:`|a \cup b| + |a \cap b| = |a| + |b|`.
-    """
+    :math:`|a \setminus b| + |a \cap b| = |a|` and :math:`|a \cup b| + |a \cap b| = |a| + |b|`."""
     a, b = (_shape(part, origin, scale) for part in (domain.a, domain.b))
     for part, shape in (("a", a), ("b", b)):
         for face in shape.faces:

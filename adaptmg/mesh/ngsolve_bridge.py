@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     import ngsolve
 
-__all__ = ["to_ngsolve"]
-
 
 def to_ngsolve(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_labels: np.ndarray,
                boundaries: Sequence[str], *, element_body: np.ndarray | None = None,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["svg"]
-
 #: of the longer side, pixels; elements beyond which only the boundary is drawn; solids are seen from above and right
 _SIZE, _MANY, _VIEW = 480, 20_000, np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
 

@@ -30,8 +30,6 @@ from adaptmg.mesh.soundness import check_mesh, check_stranger
 if TYPE_CHECKING:
     import ngsolve
 
-__all__ = ["as_mesh", "from_gmsh", "from_ngsolve"]
-
 # meshio's names of the cells of first and second order, by dimension
 _CELLS = {0: ("vertex",), 1: ("line", "line3"), 2: ("triangle", "triangle6"), 3: ("tetra", "tetra10")}
 # unpacked over packed size: meshes reach about 30

@@ -32,8 +32,6 @@ from adaptmg.mesh.structured import merged, per_body
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
-__all__ = ["PointSizes", "resized"]
-
 # Netgen takes no notice of sizes within 1.2 of what it knows: given twice, it keeps to within a tenth either way. Its
 # drafts in the plane are finer than asked for, its tetrahedra are so where it is to improve them; with these factors
 # the expected number of nodes comes out
@@ -97,10 +95,8 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, gra
 
 
 def _attempts(domain: Domain, grading: float, refinements: int, mesh: Callable[[float, int], MeshArrays]) -> MeshArrays:
-    """The first mesh that comes out sound.
-
-    Where Netgen fails, slower growth of sizes (which only makes the mesh finer) often helps; in the end no refinement.
-    """
+    """The first mesh that comes out sound. Where Netgen fails, slower growth of sizes (which only makes the mesh finer)
+    often helps; in the end no refinement."""
     why: Exception | None = None
     for factor, k in ((1.0, refinements), (0.7, refinements), (0.7, 0), (0.5, 0)):
         try:

@@ -16,8 +16,6 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 
-__all__ = ["SizeNear"]
-
 
 @dataclass(frozen=True)
 class SizeNear:

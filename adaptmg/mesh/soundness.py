@@ -26,9 +26,6 @@ from adaptmg.mesh.arrays import (
     sound_by_construction,
 )
 
-__all__ = ["MeshQuality", "check_mesh", "check_overlap", "check_stranger", "overlapping_bodies", "quality",
-           "with_source"]
-
 # volume over longest edge to the power dim (0.43 for an equilateral triangle), below which an element is degenerate
 _FLAT = 1e-10
 
@@ -284,10 +281,8 @@ def overlapping_bodies(mesh: MeshArrays, apart: Iterable[tuple[int, int]]) -> It
 
 
 def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
-    """Places (n, dim) of the boundary of a body that lie deep inside elements of another, or of itself.
-
-    Nodes and centroids of facets: in extruded meshes nodes may lie in planes that no element crosses.
-    """
+    """Places (n, dim) of the boundary of a body that lie deep inside elements of another, or of itself. Nodes and
+    centroids of facets: in extruded meshes nodes may lie in planes that no element crosses."""
     own = np.zeros(mesh.n_nodes, dtype=bool)
     own[mesh.elements[mesh.element_body == body]] = True
     elements = mesh.elements[mesh.element_body == other]

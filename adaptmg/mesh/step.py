@@ -19,8 +19,6 @@ from adaptmg.mesh.soundness import with_source
 from adaptmg.mesh.structured import boundaries_of, merged, per_body
 from adaptmg.problem.solid_domains import StepFile
 
-__all__ = ["from_step", "step_contents", "step_mesh", "step_names", "step_shapes"]
-
 Sizes = float | Mapping[str, float]
 # reading takes about a second a megabyte; twenty times that is the limit
 _START_S, _S_PER_BYTE, _BYTES_PER_BYTE = 60.0, 2e-5, 50

@@ -24,8 +24,6 @@ from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.plane_domains import Box, Rectangle
 from adaptmg.problem.solid_domains import Assembly
 
-__all__ = ["boundaries_of", "lattice_nodes", "merged", "per_body", "structured"]
-
 Divisions = int | Sequence[int]
 #: what making the mesh takes at its peak, measured
 _BYTES_PER_NODE = {2: 600, 3: 2000}
@@ -120,10 +118,8 @@ def _strides(counts: tuple[int, ...]) -> np.ndarray:
 
 
 def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Outward facets and their labels: side by side, along each in the order of the nodes.
-
-    All cells of a side have the same facets there: those of one cell are moved along the side.
-    """
+    """Outward facets and their labels: side by side, along each in the order of the nodes. All cells of a side have the
+    same facets there: those of one cell are moved along the side."""
     dim, stride = len(counts), _strides(counts)
     corners = np.stack(np.meshgrid(*[[0, 1]] * dim, indexing="ij")[::-1], axis=-1).reshape(-1, dim)
     first = np.zeros(1, dtype=np.int32)

@@ -37,9 +37,6 @@ from adaptmg.transfer.constraints import (
     supports,
 )
 
-__all__ = ["Correction", "CorrectionLevel", "InitialContact", "Monotone", "PaperCorrection",
-           "Recorder", "contact_weights", "correction_contact", "correction_levels", "local_prolongation",
-           "sliding_limit"]
 
 @dataclass(frozen=True, eq=False)
 class InitialContact:
@@ -182,10 +179,8 @@ def _tangential_part(rotation: np.ndarray) -> np.ndarray:
 
 
 def local_galerkin(level: CorrectionLevel, coarse: LocalSystem, finer: CorrectionLevel | None = None) -> LocalSystem:
-    """The Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale diagonal.
-
-    Dofs of ``level`` that ``finer``, the next level, does not see have such a diagonal, which is left out.
-    """
+    """The Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale diagonal. Dofs of ``level`` that
+    ``finer``, the next level, does not see have such a diagonal, which is left out."""
     dim = coarse.dim
     prolongation, restriction = level.prolongation, level.restriction
     if finer is not None:

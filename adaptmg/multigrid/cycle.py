@@ -30,8 +30,6 @@ from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact
 
-__all__ = ["CoarseSolve", "Condensation", "Cycle", "MultigridCycle", "NestedStart", "initial_contact", "project",
-           "prolonged_start"]
 
 class Condensation(Protocol):
     """A matrix condensed to its contact dofs; :class:`adaptmg.solver.factorisation.Condensed` is one."""

@@ -19,10 +19,6 @@ from adaptmg._runtime import kernel
 from adaptmg.smoother.blocks import add, in_loop, inner, read, scale, subtract, times, write
 from adaptmg.smoother.kernels import minus_row
 
-__all__ = ["LINES", "add_prolonged", "backward_change", "backward_full", "backward_kept", "combine", "dot",
-           "forward_from_zero", "forward_full", "forward_residual", "product_of_change", "residual", "restrict",
-           "shorten", "stiff_squares", "zero_at"]
-
 #: lines of the cache that a row of a half fills (2D)
 LINES = 2
 

@@ -22,9 +22,6 @@ from adaptmg.multigrid.half_sweeps import add_prolonged, restrict, zero_at
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import ZERO
 
-__all__ = ["CoarseFactors", "LevelVectors", "LinearCycle", "LinearSmoother", "LinearSolve", "PreparedSmoother",
-           "PreparedSolve", "regular_matrix"]
-
 
 @dataclass(eq=False)
 class LevelVectors:
@@ -199,12 +196,10 @@ class LinearSolve(Protocol):
     """A user-defined solver of the coarsest linear problems."""
 
     def setup(self, matrix: sparse.csr_array) -> PreparedSolve:
-        """Prepare for a matrix (n_dofs, n_dofs), whenever the contact status changes it.
-
-        It has a diagonal entry alone where dofs are fixed or truncated; with Coulomb friction it is not symmetric;
-        where only contact holds a body it may be singular. The passes over the matrix that the object's ``passes``
-        names for its last solve, if it has them, are counted as work.
-        """
+        """Prepare for a matrix (n_dofs, n_dofs), whenever the contact status changes it. It has a diagonal entry alone
+        where dofs are fixed or truncated; with Coulomb friction it is not symmetric; where only contact holds a body it
+        may be singular. The passes over the matrix that the object's ``passes`` names for its last solve, if it has
+        them, are counted as work."""
 
 
 class LinearSmoother(Protocol):

@@ -42,8 +42,6 @@ from adaptmg.smoother.compiling import likely
 from adaptmg.smoother.kernels import minus_row, minus_transposed_row
 from adaptmg.smoother.node_solve import read_reference, solve
 
-__all__ = ["Interface", "backward", "energy_product", "forward", "local", "solve_at"]
-
 ONE = np.uint64(1)
 
 
@@ -83,10 +81,8 @@ def backward(zero, l_indptr, l_indices, lower, inverse, load, contact_of, frames
 @kernel(fastmath={"contract"})
 def forward(zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, blocks, gap, reference, limit,
             friction, values, u, kept):
-    """Forward projected sweep after :func:`backward`; ``kept`` becomes f - A u.
-
-    ``diagonal`` (n_contact * dim^2,) are the Cartesian diagonal blocks of the contact nodes.
-    """
+    """Forward projected sweep after :func:`backward`; ``kept`` becomes f - A u. ``diagonal`` (n_contact * dim^2,) are
+    the Cartesian diagonal blocks of the contact nodes."""
     dim = np.uint64(len(zero))
     for node in range(len(l_indptr) - 1):
         i = np.uint64(node)
@@ -171,9 +167,7 @@ def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
 def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, inverse,
           contact_of, frames, own_blocks, gap, reference, limit, friction, values, u, residual):
     """Projected sweep over positions ``order`` of an :class:`~adaptmg.multigrid.projected_sweeps.Interface`.
-
-    ``residual`` is f - A u before and after.
-    """
+    ``residual`` is f - A u before and after."""
     dim = np.uint64(len(zero))
     for entry in range(len(order)):
         p = np.uint64(order[entry])

@@ -25,8 +25,6 @@ import numpy as np
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 
-__all__ = ["RigidContact", "RigidMotions", "null_combinations"]
-
 #: singular values and values of motions that count as zero, relative to the largest
 _ZERO = 1e-10
 #: squares of singular values beyond this, relative to the largest, are none, whatever rounding did to them
@@ -92,10 +90,8 @@ class RigidContact:
         return (self.limit > 0) | (self.closed & (self.friction > 0))
 
     def free(self, last: tuple[bytes, np.ndarray]) -> tuple[bytes, np.ndarray]:
-        """Combinations (m, j) that move closed nodes along the obstacle only, and held ones not at all.
-
-        Behind the status that they belong to; ``last`` are those of another time.
-        """
+        """Combinations (m, j) that move closed nodes along the obstacle only, and held ones not at all. Behind the
+        status that they belong to; ``last`` are those of another time."""
         closed, held = self.closed, self.resists & ~self.slip.any(axis=1)
         count = self.motions.shape[2]
         key = bytes([count]) + closed.tobytes() + held.tobytes()

@@ -20,8 +20,6 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level
 from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen, without_fixed
 
-__all__ = ["SplitMatrix", "count", "decouple", "distribute", "galerkin_levels", "invert_all", "invert_block", "mask",
-           "nodal_prolongations", "split"]
 
 @dataclass(eq=False)
 class SplitMatrix:
@@ -148,11 +146,9 @@ def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
 
 
 def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
-    """Galerkin matrices of all levels, coarsest first.
-
-    Where the discretised matrix is the Galerkin one (nested meshes) it is taken over; not with coupled bodies, whose
-    truncated matrices need more entries near contact. The finest matrix, which no truncation changes, is symmetric.
-    """
+    """Galerkin matrices of all levels, coarsest first. Where the discretised matrix is the Galerkin one (nested meshes)
+    it is taken over; not with coupled bodies, whose truncated matrices need more entries near contact. The finest
+    matrix, which no truncation changes, is symmetric."""
     matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
     result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
     for above, level, nodal in zip(reversed(hierarchy.levels[1:]), reversed(hierarchy.levels[:-1]),
@@ -171,10 +167,8 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
 
 
 def _nested(above: Level, level: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array) -> bool:
-    """Whether the discretised matrix of ``level`` is the Galerkin one of ``matrix``, that of the level above.
-
-    The answer is kept on the level above, whose prolongation it is: growing hierarchies ask at every step.
-    """
+    """Whether the discretised matrix of ``level`` is the Galerkin one of ``matrix``, that of the level above. The
+    answer is kept on the level above, whose prolongation it is: growing hierarchies ask at every step."""
     coarse = level.discrete.matrix
     if matrix is not above.matrix:
         return is_galerkin(matrix, nodal, coarse)
@@ -269,10 +263,8 @@ def decouple(dim, diagonal, fixed):
 @inner_kernel
 def invert_block(dim, block, scale, result, at):
     """The inverse of a block (dim * dim,) with diagonal scale, zero in rows and columns of vanishing diagonal entries.
-
     ``scale`` (dim,) is what the entry was before truncation; Gauss-Jordan elimination on the rest. Written to
-    ``result`` from position ``at``; ``block`` is destroyed.
-    """
+    ``result`` from position ``at``; ``block`` is destroyed."""
     for c in range(dim * dim):
         result[at + c] = 0.0
     for a in range(dim):

@@ -24,8 +24,6 @@ from adaptmg.smoother.blocks import ZERO, in_loop, inner, read, read_upper, time
 from adaptmg.smoother.node_solve import natural_at, read_reference
 from adaptmg.smoother.system import BACKWARDS, CLOSED, HELD, SLIPS, TANGENTIAL, NodalContact, local_contact, turn_held
 
-__all__ = ["StatusChange", "TruncatedContact"]
-
 
 @dataclass(frozen=True)
 class StatusChange:
@@ -144,11 +142,9 @@ class TruncatedContact:
 
 @kernel
 def classify(zero, nodes, frames, blocks, gap, reference, limit, friction, values, residual, codes, pressure):
-    """Update ``codes`` and ``pressure`` from local unknowns and the residual ``residual`` (n_dofs,).
-
-    ``zero`` are dim zeros, see :mod:`adaptmg.smoother.blocks`. Returns the number of codes that changed, and the sums
-    of squares of the natural residual and of the reactions.
-    """
+    """Update ``codes`` and ``pressure`` from local unknowns and the residual ``residual`` (n_dofs,). ``zero`` are dim
+    zeros, see :mod:`adaptmg.smoother.blocks`. Returns the number of codes that changed, and the sums of squares of the
+    natural residual and of the reactions."""
     dim = np.uint64(len(zero))
     changed = 0
     natural = 0.0
@@ -229,10 +225,8 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r):
 
 @kernel
 def directions(dim, codes, limit, friction, pressure, reference, values, direction, hessian):
-    """Slip directions and, in 3D, the Hessian of g |slip| at slipping nodes, zero elsewhere.
-
-    ``pressure`` (n_contact,) is p.
-    """
+    """Slip directions and, in 3D, the Hessian of g |slip| at slipping nodes, zero elsewhere. ``pressure`` (n_contact,)
+    is p."""
     m = dim - 1
     for k in range(len(codes)):
         for a in range(m):
@@ -256,11 +250,9 @@ def directions(dim, codes, limit, friction, pressure, reference, values, directi
 
 @kernel
 def project(dim, codes, nodes, frames, gap, reference, values, u):
-    """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns.
-
-    Closed nodes keep the gap, held ones their place. An open node stops at the gap. A slip that would turn by more
-    than 90 degrees (2D: reverse) is cut to zero. Returns how many nodes were cut.
-    """
+    """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns. Closed nodes keep the gap,
+    held ones their place. An open node stops at the gap. A slip that would turn by more than 90 degrees (2D: reverse)
+    is cut to zero. Returns how many nodes were cut."""
     local = np.empty(dim)
     m = dim - 1
     cut = 0

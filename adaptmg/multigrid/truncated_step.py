@@ -29,8 +29,6 @@ from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 
-__all__ = ["Recombination", "Ring", "StepState", "TruncatedStep"]
-
 
 @dataclass(frozen=True)
 class StepState:
@@ -79,9 +77,8 @@ class TruncatedStep:
 
     def linearise(self, safe: bool, trusted: float = np.inf) -> StepState:
         """Update the contact status, truncate the residual and, where the status has changed, the coarse matrices.
-
-        ``safe`` freezes g in the matrices, which keeps them symmetric; a residual above ``trusted`` (N) does the same.
-        """
+        ``safe`` freezes g in the matrices, which keeps them symmetric; a residual above ``trusted`` (N) does the
+        same."""
         status = self.contact.update_status(self.residual)
         at_contact = self.contact.truncate(self.residual)
         elsewhere = max(self._restrict() - at_contact, 0.0)
@@ -96,10 +93,8 @@ class TruncatedStep:
         return StepState(status.changed, residual, float(np.sqrt(status.reactions)))
 
     def correct(self) -> float:
-        """Correct, project and search; returns the energy of the coarse correction, N m.
-
-        It estimates the energy of the error that the correction removes.
-        """
+        """Correct, project and search; returns the energy of the coarse correction, N m. It estimates the energy of the
+        error that the correction removes."""
         proposed, energy = self._coarse_correction()
         before = self.contact.values.copy()
         self.contact.project(proposed)
@@ -238,12 +233,10 @@ class Ring:
 
 
 class Recombination:
-    r"""The last restricted truncated residuals of one level, and the weights of the last iterates.
-
-    The weights of :math:`u + \sum_j \alpha_j (u_j - u)` minimise
-    :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d the diagonal of the coarse matrix (Anderson
-    acceleration). While the contact status stays, the residual is affine in u (3D: nearly).
-    """
+    r"""The last restricted truncated residuals of one level, and the weights of the last iterates. The weights of
+    :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d the
+    diagonal of the coarse matrix (Anderson acceleration). While the contact status stays, the residual is affine in u
+    (3D: nearly)."""
 
     def __init__(self, dim: int, n_dofs: int, depth: int) -> None:
         self.dim, self.depth, self._past = dim, depth, 0

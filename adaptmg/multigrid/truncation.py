@@ -23,8 +23,6 @@ from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.smoother.system import CLOSED, HELD, TANGENTIAL
 
-__all__ = ["Truncation"]
-
 
 @dataclass(eq=False)
 class _Changed:
@@ -311,11 +309,9 @@ def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, slots):
 @kernel
 def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indices, u_indptr, u_indices, number,
                        source, target, weight, slots, coarse_rows, coarse_columns):
-    """Where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``.
-
-    ``number`` (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number, the
-    number of products, and how many of them found no place in the coarse matrix.
-    """
+    """Where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``. ``number`` (slots of
+    the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number, the number of products, and
+    how many of them found no place in the coarse matrix."""
     count = 0
     met = 0
     lost = 0
@@ -349,10 +345,8 @@ def add_contributions(size, source, target, weight, fine, coarse):
 
 @kernel
 def store(dim, slots, rows, columns, base, change, free, below, lower, upper, diagonal, inverse):
-    """Write base + change to a split matrix; ``change`` is zeroed in rows and columns of fixed dofs first.
-
-    ``diagonal`` may be empty where nobody needs it.
-    """
+    """Write base + change to a split matrix; ``change`` is zeroed in rows and columns of fixed dofs first. ``diagonal``
+    may be empty where nobody needs it."""
     size = dim * dim
     n = len(inverse) // size
     block, scale = np.empty(size), np.empty(dim)

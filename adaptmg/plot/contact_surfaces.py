@@ -25,9 +25,6 @@ from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
 
-__all__ = ["Flat", "Line", "cells", "chosen_boundaries", "contact", "draw_map", "flattened", "keep_open", "lines_of",
-           "pair_name"]
-
 #: length of the mean of the unit normals below which a surface is taken to bend around an axis
 _AROUND = 0.5
 

@@ -13,8 +13,6 @@ from adaptmg import _checks as checks
 from adaptmg.plot.style import BLUE, CYCLE, GREEN, GREY, INK, ORANGE, canvas, label_text, plain, styled
 from adaptmg.solver.result import Result
 
-__all__ = ["history", "path"]
-
 _QUANTITIES = {"error_estimate": "estimated error (relative, energy norm)",
                "true_error": "true error (relative, energy norm)", "residual": "natural residual (relative)",
                "relative_change": "change in one cycle (relative, Euclidean)",

@@ -24,8 +24,6 @@ from adaptmg.plot import style
 from adaptmg.plot.surfaces import Lines, draw_facets, finish_axes, sharp_edges
 from adaptmg.solver.result import Result
 
-__all__ = ["deformation"]
-
 #: the largest number of elements whose edges are drawn by default
 _LINES_UP_TO = 8000
 

@@ -17,8 +17,6 @@ from adaptmg.plot.contact_surfaces import cells, chosen_boundaries, draw_map, fl
 from adaptmg.plot.style import BLUE, label_text, new_figure, number, plain, state_lines, stated_curve, styled
 from adaptmg.solver.result import Result
 
-__all__ = ["load_history"]
-
 _COLUMNS = 4
 
 

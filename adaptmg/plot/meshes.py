@@ -19,7 +19,6 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot import style
 from adaptmg.plot.surfaces import draw_facets, finish_axes, view_of
 
-__all__ = ["adaptation", "grids", "mesh"]
 
 @style.styled
 def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = ()) -> Figure:

@@ -47,8 +47,6 @@ from adaptmg.problem import (
 )
 from adaptmg.problem.loads import AnySupport
 
-__all__ = ["boundary_edges", "problem", "spread", "support_text"]
-
 _CONTACT, _MASTER, _SUPPORT = "#e8833a", "#f2c530", "#4fb38a"
 
 SurfaceLoad = Pressure | Traction

@@ -27,11 +27,6 @@ from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
 
-__all__ = ["BLUE", "BODY_COLORS", "CYCLE", "GREEN", "GREY", "INK", "ORANGE", "PALE", "SKY", "STATE_COLORS",
-           "STATE_INKS", "STATE_NAMES", "axes_of", "axis_names", "body_fills", "bounds", "canvas", "entitle",
-           "halves", "label_text", "legend_below", "new_figure", "number", "plain", "polylines", "quoted", "scaled",
-           "shade", "state_lines", "stated_curve", "states_of", "styled"]
-
 INK, GREY, PALE = "#1f2328", "#8a9099", "#eceef1"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
 #: fills of bodies: pale, so that lines, marks and the colours of states show on them
@@ -221,10 +216,8 @@ def state_lines(states: Iterable[int], linewidth: float = 3.0) -> list[Line2D]:
 
 
 def polylines(edges: np.ndarray) -> list[np.ndarray]:
-    """Join oriented edges (n, 2) to polylines of nodes, each edge used once.
-
-    Open polylines come first, by the number of their first node, then rings, whose last node is their first.
-    """
+    """Join oriented edges (n, 2) to polylines of nodes, each edge used once. Open polylines come first, by the number
+    of their first node, then rings, whose last node is their first."""
     following: dict[int, list[int]] = defaultdict(list)
     surplus: dict[int, int] = defaultdict(int)
     for a, b in np.asarray(edges).tolist():

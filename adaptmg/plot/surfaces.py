@@ -23,9 +23,6 @@ from mpl_toolkits.mplot3d import Axes3D
 from adaptmg._runtime import kernel
 from adaptmg.plot.style import INK, bounds
 
-__all__ = ["Lines", "Surface", "draw_facets", "finish_axes", "normals_of", "raster_segments", "raster_triangles",
-           "sharp_edges", "view_of", "viewer"]
-
 #: the largest number of triangles whose edges are drawn by default
 _EDGES_UP_TO = 6000
 #: pixels of the raster for each pixel of the picture, in each direction
@@ -139,11 +136,9 @@ class Surface(Artist):
 
 @kernel
 def raster_triangles(corners, colors, ink, width, image, depth):
-    """Draw triangles (n, 3, 3), x and y in pixels and depth, with an rgb colour (n, 3, 3) at each corner.
-
-    Edges have the colour ``ink`` (3,) and ``width`` pixels, half in each triangle. ``image`` (rows, columns, 4) and
-    ``depth`` (rows, columns) are changed.
-    """
+    """Draw triangles (n, 3, 3), x and y in pixels and depth, with an rgb colour (n, 3, 3) at each corner. Edges have
+    the colour ``ink`` (3,) and ``width`` pixels, half in each triangle. ``image`` (rows, columns, 4) and ``depth``
+    (rows, columns) are changed."""
     rows, columns = depth.shape
     for t in range(len(corners)):
         x0, y0, z0 = corners[t, 0]

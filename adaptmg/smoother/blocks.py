@@ -14,10 +14,6 @@ from collections.abc import Callable
 import numpy as np
 from numba.extending import register_jitable
 
-__all__ = ["ZERO", "add", "in_loop", "inner", "inverse_square", "minus_times", "multiply", "negative", "nothing",
-           "over", "plus_symmetric", "read", "read_upper", "scale", "subtract", "times", "transposed_times", "upper",
-           "write"]
-
 ZERO = {1: (0.0,), 2: (0.0, 0.0), 3: (0.0, 0.0, 0.0)}
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
@@ -25,10 +21,8 @@ FIVE, SIX, SEVEN, EIGHT = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8)
 
 
 def in_loop(function: Callable) -> Callable:
-    """Let kernels call a function in their loops: it is inlined and compiled as its caller is.
-
-    (Cached by itself, it would be compiled once for callers with and without fused multiply-adds.)
-    """
+    """Let kernels call a function in their loops: it is inlined and compiled as its caller is. (Cached by itself, it
+    would be compiled once for callers with and without fused multiply-adds.)"""
     return register_jitable(forceinline=True, error_model="numpy", no_cpython_wrapper=True,
                             no_cfunc_wrapper=True)(function)
 

@@ -13,8 +13,6 @@ from llvmlite import ir
 from numba import config, types
 from numba.extending import intrinsic
 
-__all__ = ["AHEAD", "likely", "prefetch"]
-
 #: distance of the prefetch in doubles
 AHEAD = np.int64(512)
 

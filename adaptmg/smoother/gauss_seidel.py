@@ -22,8 +22,6 @@ from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.residuals import check_contact, check_vector, contact_share, normal_force
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
-__all__ = ["ProjectedGaussSeidel", "Smoother"]
-
 _DIRECTIONS = {"forward": (1,), "backward": (-1,), "symmetric": (1, -1)}
 
 

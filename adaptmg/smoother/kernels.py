@@ -33,8 +33,6 @@ from adaptmg.smoother.blocks import (
 from adaptmg.smoother.compiling import AHEAD, prefetch
 from adaptmg.smoother.node_solve import natural_at, read_reference, solve
 
-__all__ = ["minus_row", "minus_transposed_row", "natural_residual", "normal_residual", "residual", "sweep"]
-
 #: lines of the cache that a row fills (2D)
 LINES = 4
 ONE = np.uint64(1)
@@ -42,11 +40,9 @@ ONE = np.uint64(1)
 
 @in_loop
 def minus_row(i, step, indptr, indices, data, w, r, lines):
-    """r minus row i of a matrix (or half of one) times w.
-
-    ``step``, 1 or -1, is the direction in which the matrix is read. ``lines`` is about the number of lines of the
-    cache that a row fills: in 1D and 2D they are prefetched once a row, in 3D (a line a block) block by block.
-    """
+    """r minus row i of a matrix (or half of one) times w. ``step``, 1 or -1, is the direction in which the matrix is
+    read. ``lines`` is about the number of lines of the cache that a row fills: in 1D and 2D they are prefetched once a
+    row, in 3D (a line a block) block by block."""
     dim = np.uint64(len(r))
     size = dim * dim
     begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])

@@ -42,8 +42,6 @@ import numpy as np
 from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.smoother.blocks import in_loop, nothing, plus_symmetric, subtract
 
-__all__ = ["natural_at", "read_reference", "slip_3d", "solve", "solve_2d", "solve_3d"]
-
 ONE, TWO = np.uint64(1), np.uint64(2)
 EPSILON = 2.0**-52
 MAX_STEPS = 200
@@ -152,9 +150,7 @@ def _solve_beside(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float,
 @kernel(fastmath=False)
 def _slip_beside(b: float, c: float, a: float, p_stick: float, held: float, limit: float, friction: float) -> float:
     """The root of c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held^2 + x^2): it lies from 0 to c / b.
-
-    Newton's method inside a bracket.
-    """
+    Newton's method inside a bracket."""
     low, high = min(0.0, c / b), max(0.0, c / b)
     slip = 0.0
     for _ in range(MAX_STEPS):

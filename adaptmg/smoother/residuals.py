@@ -20,9 +20,6 @@ from adaptmg.smoother import kernels
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import LocalSystem, NodalContact, contact_codes, contact_states
 
-__all__ = ["check_contact", "check_vector", "contact_share", "natural_at_nodes", "natural_residual", "normal_force",
-           "residual", "states"]
-
 
 def residual(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
     """Return the residual b - A w (n_dofs,), N, contact forces included, from b and w (n_dofs,), local components."""
@@ -79,10 +76,8 @@ def contact_share(system: LocalSystem) -> float:
 
 def states(contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, small: float) -> np.ndarray:
     """Return the :class:`~adaptmg.smoother.system.ContactState` (n_contact,) int8 of unknowns (n_contact, dim) and p.
-
-    OPEN where there is a gap, or no compressive force; otherwise STICK where the slip is zero and the bound s + mu p
-    is positive, and SLIP elsewhere. A gap or slip up to ``small`` (m) counts as zero.
-    """
+    OPEN where there is a gap, or no compressive force; otherwise STICK where the slip is zero and the bound s + mu p is
+    positive, and SLIP elsewhere. A gap or slip up to ``small`` (m) counts as zero."""
     slip = np.linalg.norm(values[:, 1:] - contact.slip_reference, axis=1)
     held = (slip <= small) & (contact.limit + contact.friction * normal_force > 0)
     return contact_states(contact_codes(~(contact.gap - values[:, 0] > small), held), normal_force)

@@ -22,10 +22,6 @@ from adaptmg.discrete.coordinates import frames_of, rotate, rotate_back, to_fram
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.transfer.galerkin import without_fixed
 
-__all__ = ["BACKWARDS", "CLOSED", "FREE", "HELD", "OPEN", "SLIP", "SLIPS", "STICK", "TANGENTIAL", "ContactState",
-           "LocalProblem", "LocalSystem", "NodalContact", "contact_blocks", "contact_codes", "contact_states",
-           "held_tangents", "inverse_blocks", "local_contact", "local_system", "turn_held"]
-
 
 @dataclass
 class NodalContact:
@@ -166,9 +162,7 @@ def held_tangents(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
 
 def contact_blocks(problem: DiscreteProblem, contact: NodalContact, frames: np.ndarray) -> np.ndarray:
     """Diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as :func:`local_system` has them.
-
-    Without rotating the matrix: only these blocks are read.
-    """
+    Without rotating the matrix: only these blocks are read."""
     matrix, nodes = problem.matrix, problem.contact.nodes
     counts = np.diff(matrix.indptr)[nodes]
     at = np.repeat(matrix.indptr[nodes] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())

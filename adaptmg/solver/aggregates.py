@@ -18,8 +18,6 @@ from adaptmg._runtime import kernel, remembered
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, times, write
 
-__all__ = ["Aggregates", "CoarseMatrix", "aggregates_of"]
-
 #: nodes of an aggregate and its depth in the graph, by dimension; beyond the number of nodes in the
 #: middle the number of aggregates, which bounds the cost of the coarse matrix
 _SIZE, _MANY, _MOST = {2: (64, 4), 3: (80, 3)}, 100_000, {2: 1800, 3: 500}
@@ -56,10 +54,8 @@ def _grow(indptr, indices, group, sizes, most_deep, label):
 
 @kernel
 def _join(indptr, indices, group, sizes, remnant, label, members, of, best):
-    """Remnants join their smallest neighbour; returns the number of aggregates left, numbered again.
-
-    ``members``, ``of`` and ``best`` (n_aggregates,) come as 0, 0 and -1.
-    """
+    """Remnants join their smallest neighbour; returns the number of aggregates left, numbered again. ``members``,
+    ``of`` and ``best`` (n_aggregates,) come as 0, 0 and -1."""
     n, count = len(label), len(best)
     for i in range(n):
         if label[i] >= 0:
@@ -122,10 +118,8 @@ def _arrange(label, points, count, order, starts, offset):
 
 @kernel
 def _pattern(indptr, indices, label, order, starts, coarse_indptr, seen, coarse_indices):
-    """Aggregates J met from rows i <= j of each aggregate I, as rows of a matrix.
-
-    ``coarse_indices`` may be empty; ``seen`` (n_aggregates,) comes as -1.
-    """
+    """Aggregates J met from rows i <= j of each aggregate I, as rows of a matrix. ``coarse_indices`` may be empty;
+    ``seen`` (n_aggregates,) comes as -1."""
     count = 0
     for a in range(len(starts) - 1):
         seen[a] = a

@@ -26,8 +26,6 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.solver.aggregates import Aggregates, aggregates_of
 from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, residual_energy
 
-__all__ = ["Certificate", "Condition", "ContactClaims", "Evidence", "certify"]
-
 
 @dataclass(frozen=True, repr=False)
 class Certificate:
@@ -291,11 +289,9 @@ class Evidence:
         return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
 
     def _frozen(self) -> tuple[FrozenStatus, np.ndarray, np.ndarray]:
-        """The status that the displacement is nearest to, the change that meets it, and the forces against the law.
-
-        At each node the cheaper is taken, in the measure of its stiffness: to move onto the obstacle (to zero slip), or
-        to give the force up (to turn it against the slip).
-        """
+        """The status that the displacement is nearest to, the change that meets it, and the forces against the law. At
+        each node the cheaper is taken, in the measure of its stiffness: to move onto the obstacle (to zero slip), or to
+        give the force up (to turn it against the slip)."""
         contact, dim = self.problem.contact, self.problem.dim
         here, d = (~self.fixed[contact.nodes]).astype(float), self.diagonal[contact.nodes].max(axis=1)
         # at the nodes that carry the conditions in the equations

@@ -30,8 +30,6 @@ from adaptmg._runtime import kernel
 from adaptmg.smoother.blocks import ZERO, add, in_loop, read, subtract, times, transposed_times, write
 from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 
-__all__ = ["FrozenStatus", "Tally", "add_forces", "residual_energy"]
-
 #: least steps and share of the energy that may be missing, up to the first number of nodes and beyond
 _SMALL, _FEW, _MANY = 20_000, (3, 0.15), (2, 0.3)
 #: steps at most, without and with Coulomb friction, which needs all directions

@@ -22,8 +22,6 @@ import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel
 
-__all__ = ["CODES", "EVEN", "FLAG", "first_labels", "write_children"]
-
 # what a flagged element has its marks raised by
 FLAG = 9
 

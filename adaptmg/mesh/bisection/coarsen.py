@@ -15,8 +15,6 @@ from adaptmg.mesh.bisection import check_marked
 from adaptmg.mesh.bisection.tables import FOREBEAR, Refined, cells_of, mesh_of
 from adaptmg.mesh.soundness import check_mesh
 
-__all__ = ["coarsen", "coarsened"]
-
 
 def coarsen(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> MeshArrays:
     """Take bisections back.

@@ -25,8 +25,6 @@ from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.plane_domains import Domain, Outline, distance_to_segments
 from adaptmg.problem.solid_domains import Assembly, Ball, Cylinder, Extrusion, Moved, Revolution
 
-__all__ = ["curved_boundaries", "on_surface", "onto_domain"]
-
 _KEPT_VOLUME = 0.25
 _MAX_TRIES = 10
 

@@ -30,8 +30,6 @@ from adaptmg.mesh.bisection.tables import (
     tree_of,
 )
 
-__all__ = ["bisected", "midpoints", "refined"]
-
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
     """Bisect the marked elements."""
@@ -159,11 +157,9 @@ def _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked, most):
 
 @inner_kernel
 def _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before, stamp):
-    """Bisect the elements from e on that have a cut edge, as long as there is room.
-
-    Which were there before the round are looked at if they were touched since the round before, and e in any case.
-    The tables are not assigned again in here: counting references to them would take longer than all the rest.
-    """
+    """Bisect the elements from e on that have a cut edge, as long as there is room. Which were there before the round
+    are looked at if they were touched since the round before, and e in any case. The tables are not assigned again in
+    here: counting references to them would take longer than all the rest."""
     corners, again = tree.shape[1] - 3, e
     while e < n_cells:
         if e >= n_before or e == again or _touched(cells, e, corners, stamps, stamp - 1):

@@ -16,9 +16,6 @@ from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays, Refinement, element_facets, sound_by_construction, trusted
 from adaptmg.mesh.bisection.children import CODES, EVEN, first_labels
 
-__all__ = ["FOREBEAR", "HEAD", "HIGH", "LOW", "NEXT", "Refined", "as_initial", "cells_of", "history_arrays", "mesh_of",
-           "nodes_of", "parents_of", "tree_of", "with_history", "with_refinement"]
-
 # columns of the nodes: first and next of the list of edges (see refine), and both ends of the edge that it halves
 HEAD, NEXT, LOW, HIGH = 0, 1, 2, 3
 NODE_COLUMNS = 4
