@@ -70,7 +70,7 @@ def study(out: Output) -> None:
     figure.legend(loc="outside right upper")
     out.figure("gain", figure, "Gain in work over one grid with omega 1, as in the table")
     for line in (lines[2], lines[-2]):
-        out.number(f"Speed-up of {counts} grids (paper 7.2, 21.7, 27.3), {line['method']}, work / seconds",
+        out.number(f"Speed-up of {str(counts)[1:-1]} grids (paper 7.2, 21.7, 27.3), {line['method']}, work / seconds",
                    "; ".join(line[str(n)] for n in counts))
     gain = table[table["method"] == "default (truncated)"]["gain, work"].iloc[-1]
     out.check("gain of the default on the most grids, in work", float(gain), low=10 if out.quick else 50)
