@@ -242,7 +242,10 @@ class Result:
 
     def principal_stresses(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
         """Principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose arguments it takes."""
-        return np.linalg.eigvalsh(as_tensors(self.stress(at, recovered=recovered)))[:, ::-1]
+        tensors = as_tensors(self.stress(at, recovered=recovered))
+        found, finite = np.full((len(tensors), 3), np.nan), np.isfinite(tensors).all(axis=(1, 2))
+        found[finite] = np.linalg.eigvalsh(tensors[finite])[:, ::-1]
+        return found
 
     stresses = stress  # the earlier name
 

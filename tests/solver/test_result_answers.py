@@ -94,6 +94,13 @@ def test_elements_answer_for_their_points_and_nodes_need_recovery():
             method(inside, recovered="yes")
 
 
+def test_what_diverged_has_no_principal_stresses():
+    result, *_ = stretched(am.PlaneStrain)
+    result.displacement[result.mesh.elements[0]] = np.nan
+    missing = np.isnan(result.principal_stresses()).all(axis=1)
+    assert missing[0] and not missing.all()
+
+
 def test_recovered_stresses_jump_between_materials():
     mesh = random_box(6, 2, 2)
     upper = mesh.points[mesh.elements, 1].mean(axis=1) > np.median(mesh.points[:, 1])
