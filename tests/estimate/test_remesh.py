@@ -100,7 +100,7 @@ def test_solids(domain, refinements):
     problem = am.ContactProblem(material=am.Solid(young=2.1e11, poisson=0.3), domain=domain, law=am.Frictionless(),
                                 contact=am.Contact(last, am.Plane((0, 0, 0), (0, 0, 1))),
                                 supports=(am.Support(first, x=0.0),))
-    mesh, engine = graded(domain, 8e-3), am.Remesh(refinements=refinements)
+    mesh, engine = graded(domain, 6e-3), am.Remesh(refinements=refinements)
     for _ in range(2):
         before, mesh = mesh, check_mesh(engine.refine(problem, mesh, singular(mesh, domain.lower)), domain.boundaries)
     assert mesh.n_nodes == pytest.approx(2.5 * before.n_nodes, rel=0.25)

@@ -113,7 +113,7 @@ def test_the_readme_has_the_numbers_that_were_recorded():
 
 
 def test_the_campaign_of_loops_sees_spoilt_meshes_and_draws_every_problem():
-    loops = load("adaptive_loops")
+    loops = load("random_loops")
     for make in loops.MAKERS[1:]:
         assert isinstance(make(np.random.default_rng(3)), am.ContactProblem)
     mesh = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), 4)

@@ -1,6 +1,6 @@
 """Is what adaptive loops say of their steps true? Random problems through :func:`adaptmg.adapt`, every engine.
 
-    python tests/campaigns/adaptive_loops.py [--quick] [--first SEED] [--count N] [--out DIR]
+    python tests/campaigns/random_loops.py [--quick] [--first SEED] [--count N] [--out DIR]
 
 Blocks and pairs, re-entrant corners, arcs and round faces, stacks of several pairs, interference, friction that varies
 in space, bodies most of whose contact boundary is far from what it faces; every marking and indicator, and goals. Of
