@@ -136,7 +136,7 @@ def _shown(value: object) -> str:
 
 def measured_page(folder: Path) -> str:
     """The tables that studies have written into data/measured."""
-    page = _title("Measured") + ("\nTables that ``python studies/reproduce.py --full --record`` writes; work is in "
+    page = _title("Measured") + ("\nTables that ``python studies/reproduce.py --record`` writes; work is in "
                                  "passes over the finest matrix.\n")
     for file in sorted(folder.glob("*.csv")):
         lines = file.read_text(encoding="utf-8").splitlines()
