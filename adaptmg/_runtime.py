@@ -95,7 +95,7 @@ class _Cache(FunctionCache):
 
 @lru_cache(maxsize=1)
 def _announce_compiling() -> None:
-    text = "compiling kernels (first use on this machine, about 20 s; kept for later runs)"
+    text = "compiling kernels (first use on this machine, about 30 s; kept for later runs)"
     if sys.stderr is not None and sys.stderr.isatty() and multiprocessing.parent_process() is None:
         say(f"adaptmg: {text}")
     else:
