@@ -169,3 +169,18 @@ def test_a_support_on_the_master_is_no_trouble():
     np.testing.assert_allclose(result.displacement[:25] - [0, down], rigid.displacement, atol=1e-10 * abs(down))
     # the master passes on what the support takes
     assert result.resultant("lower.top").force == pytest.approx(-result.resultant("upper.bottom").force)
+
+
+@DIMS
+def test_a_given_gap_closes_everywhere_at_once(dim):
+    """The slave is wider than the master: rows that take other slave nodes along move more than the master."""
+    gap, make = 1e-3, bar_on_block if dim == 2 else block_on_slab
+    problem = make(am.Frictionless(), LOWER_ON_UPPER, gap=gap)
+    mesh = structured(problem.domain, {"upper": 8, "lower": 11} if dim == 2 else {"upper": 5, "lower": 8})
+    discrete, upper = discretise(problem, mesh), np.unique(mesh.elements[mesh.element_body == 0])
+    moved = np.zeros(mesh.points.shape)
+    moved[upper, dim - 1] = -gap
+    relative = discrete.at_contact(discrete.relative(moved).reshape(-1))
+    closes = np.einsum("nd,nd->n", relative, discrete.contact.normals)
+    assert mesh.bodies[0] == "upper" and closes.max() > 1.01 * gap
+    np.testing.assert_allclose(discrete.contact.gaps, closes, rtol=1e-9)
