@@ -46,6 +46,11 @@ class TestContactNodes:
             contact(**changes)
 
 
+class Negative(Frictionless):
+    def bounds(self, n_contact):
+        return np.zeros(n_contact), np.full(n_contact, -1.0)
+
+
 class TestDiscreteProblem:
     def test_what_is_made_of_the_arrays(self):
         points, own = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.ones((6, 1))
@@ -64,6 +69,7 @@ class TestDiscreteProblem:
         ({"matrix": (sparse.eye_array(6) + sparse.eye_array(6, k=1) * 1e-3).tocsr()}, ValueError, "must be symmetric"),
         ({"law": Coulomb(np.ones(3))}, ValueError, "array over the 2 contact nodes"),
         ({"law": Tresca(lambda x: x[:, 0])}, TypeError, "evaluated at the nodes first"),
+        ({"law": Negative()}, ValueError, "nodal friction must be finite and >= 0"),
         ({"contact": contact(nodes=[0, 3])}, ValueError, "node 3 does not exist; there are 3 nodes"),
         ({"fixed": np.array([False, True, False, False, False, False])}, ValueError, "normal part is fixed"),
         ({"fixed": np.array([False, False, False, False, True, False])}, ValueError, "contact node 1"),
@@ -71,14 +77,6 @@ class TestDiscreteProblem:
     def test_refuses(self, changes, error, message):
         with pytest.raises(error, match=message):
             discrete(**changes)
-
-    def test_bad_nodal_bounds_of_ones_own_law(self):
-        class Negative(Frictionless):
-            def bounds(self, n_contact):
-                return np.zeros(n_contact), np.full(n_contact, -1.0)
-
-        with pytest.raises(ValueError, match="nodal friction must be finite and >= 0"):
-            discrete(law=Negative())
 
 
 @pytest.mark.parametrize("dim", [2, 3])

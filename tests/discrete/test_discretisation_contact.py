@@ -30,15 +30,6 @@ def solid_problem(**changes: object) -> am.ContactProblem:
     return am.ContactProblem(**(arguments | changes))
 
 
-def sector(n: int) -> MeshArrays:
-    """A quarter of a ring with radii 1 (bottom) and 1/2, from x = 0 (left) on."""
-    mesh = structured(am.Rectangle(width=1.0, height=1.0), (n, 3))
-    angle, radius = mesh.points[:, 0] * np.pi / 2, 1 - mesh.points[:, 1] / 2
-    points = np.column_stack([radius * np.sin(angle), -radius * np.cos(angle)])
-    points[mesh.boundary_nodes("left"), 0] = 0.0
-    return replace(mesh, points=points, source=None)
-
-
 class TestContactNodes:
     @pytest.mark.parametrize(("problem", "mesh", "measure"), [
         (plane_problem(), PLATE, 2.0), (solid_problem(), BLOCK, 2.0)])
@@ -57,18 +48,17 @@ class TestContactNodes:
         np.testing.assert_allclose(nodes.normals, mesh.points[nodes.nodes], atol=1e-12)
         assert nodes.weights.sum() == pytest.approx(2 * n * np.sin(np.pi / n))
 
-    def test_gap_of_a_tilted_plane(self):
+    def test_gaps(self):
         # the plane through (0, -1) rising at 45 degrees is met along its own normal
         plane = am.Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))
         nodes = contact_data(plane_problem(contact=am.Contact("bottom", plane), supports=()), PLATE)[0]
         np.testing.assert_allclose(nodes.normals, np.tile([[1.0, -1.0]], (5, 1)) / np.sqrt(2))
         np.testing.assert_allclose(nodes.gaps, (3.0 - PLATE.points[nodes.nodes, 0]) / np.sqrt(2))
-
-    def test_interference(self):
-        contact = am.Contact("bottom", am.GapFunction(lambda x: np.full(len(x), -1e-14)))  # rounding
-        assert not contact_data(plane_problem(contact=contact), PLATE)[0].gaps.any()
-        contact = am.Contact("bottom", am.GapFunction(lambda x: 0.5 - x[:, 0]), allow_interference=True)
-        assert contact_data(plane_problem(contact=contact), PLATE)[0].gaps.min() == -1.5
+        # rounding is not an overlap
+        for gap, interference, least in ((lambda x: np.full(len(x), -1e-14), False, 0.0),
+                                         (lambda x: 0.5 - x[:, 0], True, -1.5)):
+            contact = am.Contact("bottom", am.GapFunction(gap), allow_interference=interference)
+            assert contact_data(plane_problem(contact=contact), PLATE)[0].gaps.min() == least
 
     @pytest.mark.parametrize("order", [("bottom", "right"), ("right", "bottom")])
     def test_common_node_belongs_to_the_boundary_named_first(self, order):
@@ -93,16 +83,14 @@ class TestContactNodes:
         np.testing.assert_array_equal(nodes.boundary, [1, 1, 0, 0, 0])
 
     def test_symmetry_plane_takes_the_one_sided_tilt_out_of_the_normal(self):
-        mesh = sector(8)
+        """A quarter of a ring with radii 1 (bottom) and 1/2, from x = 0 (left) on."""
+        flat = structured(am.Rectangle(width=1.0, height=1.0), (8, 3))
+        angle, radius = flat.points[:, 0] * np.pi / 2, 1 - flat.points[:, 1] / 2
+        points = np.column_stack([radius * np.sin(angle), -radius * np.cos(angle)])
+        points[flat.boundary_nodes("left"), 0] = 0.0
+        mesh = replace(flat, points=points, source=None)
         nodes = contact_data(plane_problem(contact=am.Contact("bottom", TOUCHING), loads=()), mesh)[0]
         np.testing.assert_allclose(nodes.normals[:-1], mesh.points[nodes.nodes][:-1], atol=1e-12)
-
-    def test_slip_reference(self):
-        displacement = np.arange(PLATE.points.size, dtype=float).reshape(-1, 2)
-        nodes = contact_data(plane_problem(), PLATE, slip_reference=displacement)[0]
-        np.testing.assert_array_equal(nodes.slip_reference, displacement[nodes.nodes])
-        with pytest.raises(ValueError, match="slip_reference must be a displacement of all nodes"):
-            contact_data(plane_problem(), PLATE, slip_reference=displacement[:3])
 
 
 class Wrong:
@@ -136,34 +124,32 @@ def test_refusals(changes, message):
 
 
 class TestDiscretise:
-    def test_plane(self):
+    def test_what_the_problem_becomes(self):
         problem = discretise(plane_problem(), PLATE)
         assert problem.name == "plate, 25 nodes" and problem.n_dofs == 50
         np.testing.assert_array_equal(problem.coordinates, PLATE.points)
-        assert problem.near_nullspace.shape == (50, 3)
+        assert problem.near_nullspace.shape == (50, 3) and problem.fixed.sum() == 5
         assert problem.load.reshape(-1, 2).sum(axis=0) == pytest.approx([0.0, -2e5])
-        assert problem.fixed.sum() == 5
-        slid = discretise(plane_problem(), PLATE, slip_reference=np.ones(PLATE.points.shape))
-        assert slid.contact.slip_reference.all()
-
-    def test_laws_become_nodal(self):
+        displacement = np.arange(PLATE.points.size, dtype=float).reshape(-1, 2)
+        contact = discretise(plane_problem(), PLATE, slip_reference=displacement).contact
+        np.testing.assert_array_equal(contact.slip_reference, displacement[contact.nodes])
+        with pytest.raises(ValueError, match="slip_reference must be a displacement of all nodes"):
+            contact_data(plane_problem(), PLATE, slip_reference=displacement[:3])
+        # laws become nodal
         tresca = discretise(plane_problem(law=am.Tresca(lambda x: 1e3 * (1 + x[:, 0]))), PLATE)
-        limit, _ = tresca.law.bounds(5)
-        np.testing.assert_allclose(limit, 1e3 * tresca.contact.weights * [1.0, 1.5, 2.0, 2.5, 3.0])
+        np.testing.assert_allclose(tresca.law.bounds(5)[0], 1e3 * tresca.contact.weights * [1.0, 1.5, 2.0, 2.5, 3.0])
         coulomb = discretise(plane_problem(law=am.Coulomb(lambda x: x[:, 0] / 4)), PLATE)
         np.testing.assert_allclose(coulomb.law.bounds(5)[1], [0.0, 0.125, 0.25, 0.375, 0.5])
 
-    def test_refuses(self):
-        with pytest.raises(ValueError, match="the mesh is 3D, the problem 'plate' 2D"):
-            discretise(plane_problem(), BLOCK)
-        with pytest.raises(TypeError, match="problem must be a ContactProblem"):
-            discretise(PLATE, PLATE)
-        with pytest.raises(TypeError, match="mesh must be MeshArrays"):
-            discretise(plane_problem(), PLATE.source)
-        with pytest.raises(ValueError, match="mesh too coarse: 2 contact nodes on bottom, at least 3"):
-            discretise(plane_problem(), structured(SQUARE, 1))
-        with pytest.raises(ValueError, match="'roof', used for a load, does not exist"):
-            discretise(plane_problem(loads=(am.Pressure("roof", 1.0),)), PLATE)
+    @pytest.mark.parametrize(("problem", "mesh", "error", "message"), [
+        (plane_problem(), BLOCK, ValueError, "the mesh is 3D, the problem 'plate' 2D"),
+        (PLATE, PLATE, TypeError, "problem must be a ContactProblem"),
+        (plane_problem(), PLATE.source, TypeError, "mesh must be MeshArrays"),
+        (plane_problem(), structured(SQUARE, 1), ValueError, "mesh too coarse: 2 contact nodes on bottom, at least 3"),
+        (plane_problem(loads=(am.Pressure("roof", 1.0),)), PLATE, ValueError, "'roof', used for a load, does not exi")])
+    def test_refuses(self, problem, mesh, error, message):
+        with pytest.raises(error, match=message):
+            discretise(problem, mesh)
 
 
 @pytest.mark.parametrize("law", [am.Coulomb(lambda p: 0.2 + p[:, 0]), am.Tresca(3e6)], ids=["Coulomb", "Tresca"])

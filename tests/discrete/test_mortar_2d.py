@@ -1,4 +1,4 @@
-"""Mortar coupling in 2D: patch tests, reproduction of linear fields, gaps, partial coverage, crosspoints, refusals."""
+"""Mortar coupling in 2D, of flat and of curved surfaces, and node-to-node coupling; refusals."""
 
 from itertools import pairwise
 
@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mortar import mortar_2d
+from mortar import mortar_2d, node_to_node
 from uncompiled import uncompile
 
+from adaptmg.discrete.mortar import pairs
 from adaptmg.discrete.mortar import segments as module
-from adaptmg.discrete.mortar.interface import NEVER_FACING, surface_normals
+from adaptmg.discrete.mortar.interface import NEVER_FACING, Surfaces, surface_normals
 from adaptmg.geometry import search
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
@@ -83,28 +84,40 @@ def flat(rng, *, overhang):
 
 
 class TestFlat:
-    @settings(max_examples=60, deadline=None)
-    @given(seed=SEEDS, overhang=st.booleans(), gap=st.sampled_from([0.0, 0.3, -0.05]))
-    def test_patch(self, seed, overhang, gap):
-        rng = np.random.default_rng(seed)
-        xs, xm = flat(rng, overhang=overhang)
-        points, slave, master, _ = two(line(xs, gap), line(xm, up=True), seed=seed)
-        points = moved(points, rng.uniform(0, 6), rng.uniform(-3, 3, 2))
-        normals = surface_normals(points, slave)
-        found = mortar_2d(points, slave, master, normals)
+    @settings(max_examples=100, deadline=None)
+    @given(seed=SEEDS, overhang=st.booleans(), excluded=st.sampled_from([0.0, 0.4]),
+           gap=st.sampled_from([None, 0.0, 0.3, -0.05]))
+    def test_patch(self, seed, overhang, excluded, gap):
+        """Along a line in any direction, in axisymmetry (``gap`` is None) from the axis; some nodes are excluded."""
+        rng, axisymmetric = np.random.default_rng(seed), gap is None
+        xs, xm = flat(rng, overhang=overhang and not axisymmetric)
+        out = np.flatnonzero(rng.random(len(xs)) < excluded)
+        carries = ~np.isin(np.arange(len(xs)), out)
+        points, slave, master, _ = two(line(xs, gap or 0.0), line(xm, up=True), seed=seed)
+        angle, shift = (rng.uniform(-1.2, 1.2), 0.0) if axisymmetric else (rng.uniform(0, 6), rng.uniform(-3, 3, 2))
+        points = moved(points, angle, shift)
+        data = points, slave, master, surface_normals(points, slave)
         parts = covered_parts(xs, xm)
+        kept = [p for p in parts if carries[(k := np.searchsorted(xs, p.mean())) - 1] or carries[k]]
+        if not kept:
+            with pytest.raises(ValueError, match="excluded"):
+                mortar_2d(*data, excluded=out, axisymmetric=axisymmetric)
+            return
+        found = mortar_2d(*data, excluded=out, axisymmetric=axisymmetric)
+        assert not np.isin(found.nodes, out).any() and not found.coupling[:, np.unique(slave)[carries]].count_nonzero()
         # nodal forces of a uniform pressure on either side are the consistent ones, hence equal in sum
-        np.testing.assert_allclose((found.coupling.T @ found.weights)[len(xs):][::-1], hats_over(xm, parts), atol=1e-12)
-        forces = np.zeros(len(xs))
-        forces[found.nodes] = found.weights
-        np.testing.assert_allclose(forces, hats_over(xs, parts), atol=1e-12)
-        # linear fields, thus rigid motions, and the gap of a parallel offset
-        conditioning = 1 / np.min(np.diff(parts) / np.diff(xs).max())
-        opposite = points[found.nodes] + gap * found.normals
-        np.testing.assert_allclose(found.coupling @ points, opposite, atol=1e-13 * conditioning + 1e-12)
-        np.testing.assert_allclose(found.gaps, gap, atol=1e-13 * conditioning + 1e-12)
-        np.testing.assert_allclose(found.coupling.sum(axis=1), 1, atol=1e-14 * conditioning + 1e-13)
-        assert not found.coupling[:, slave.ravel()].count_nonzero()
+        weight = (lambda s: 2 * np.pi * s * np.cos(angle)) if axisymmetric else (lambda s: 1.0)
+        forces = -found.coupling.T @ found.weights
+        forces[found.nodes] += found.weights
+        np.testing.assert_allclose(-forces[len(xs):][::-1], hats_over(xm, kept, weight), atol=1e-12)
+        np.testing.assert_allclose(forces[:len(xs)], hats_over(xs, kept, weight), atol=1e-12)
+        # linear fields, thus rigid motions, and the gap of a parallel offset, of all nodes that are followed
+        scale = 1e-12 * np.abs(found.coupling.data).max() + 1e-13 / np.min(np.diff(parts) / np.diff(xs).max())
+        followed = 1 - found.coupling[:, out].sum(axis=1)
+        np.testing.assert_allclose(found.coupling.sum(axis=1), 1, atol=scale)
+        opposite = points[found.nodes] + (gap or 0.0) * followed[:, None] * found.normals
+        np.testing.assert_allclose(found.coupling @ points, opposite, atol=4 * scale)
+        np.testing.assert_allclose(found.gaps, (gap or 0.0) * followed, atol=4 * scale)
 
     @pytest.mark.parametrize("covered", [1.01e-3, 1e-2, 0.5])
     @pytest.mark.parametrize("axisymmetric", [False, True])
@@ -136,59 +149,12 @@ class TestFlat:
         np.testing.assert_allclose(forces[3:], hats_over(right, [(0.55, 1.0)]), atol=1e-13)
 
 
-class TestCrosspoints:
-    @settings(max_examples=40, deadline=None)
-    @given(seed=SEEDS, overhang=st.booleans(), axisymmetric=st.booleans())
-    def test_patch(self, seed, overhang, axisymmetric):
-        rng = np.random.default_rng(seed)
-        xs, xm = flat(rng, overhang=overhang and not axisymmetric)
-        out = np.flatnonzero(rng.random(len(xs)) < 0.4)
-        carries = ~np.isin(np.arange(len(xs)), out)
-        points, slave, master, normals = two(line(xs), line(xm, up=True))
-        parts = covered_parts(xs, xm)
-        kept = [p for p in parts if carries[(k := np.searchsorted(xs, p.mean())) - 1] or carries[k]]
-        if not kept:
-            with pytest.raises(ValueError, match="excluded"):
-                mortar_2d(points, slave, master, normals, excluded=out, axisymmetric=axisymmetric)
-            return
-        found = mortar_2d(points, slave, master, normals, excluded=out, axisymmetric=axisymmetric)
-        assert not np.isin(found.nodes, out).any()
-        weight = (lambda x: 2 * np.pi * x) if axisymmetric else (lambda x: 1.0)
-        forces = -found.coupling.T @ found.weights
-        forces[found.nodes] += found.weights
-        np.testing.assert_allclose(-forces[len(xs):][::-1], hats_over(xm, kept, weight), atol=1e-12)
-        np.testing.assert_allclose(forces[:len(xs)], hats_over(xs, kept, weight), atol=1e-12)
-        scale = 1e-12 * np.abs(found.coupling.data).max()
-        np.testing.assert_allclose(found.coupling.sum(axis=1), 1, atol=scale)
-        np.testing.assert_allclose(found.coupling @ points, points[found.nodes], atol=2 * scale)
-
-    def test_by_hand(self):
-        # node 1 takes both halves of edges of length 1: D_11 = 1, D_10 = D_12 = 1/2
-        found = mortar_2d(*two(line([0.0, 1.0, 2.0], 0.25), line([0.0, 2.0], up=True)), excluded=(0, 2, 4))
-        np.testing.assert_allclose(found.coupling.toarray(), [[-0.5, 0.0, -0.5, 1.0, 1.0]], atol=1e-14)
-        # the mean closure over the edges is half of that at node 1, as long as nodes 0 and 2 are held
-        np.testing.assert_allclose(found.gaps, [0.5])
-        np.testing.assert_allclose(found.weights, [1.0])
-
     def test_nothing_left(self):
         with pytest.raises(ValueError, match="every node of the slave surface is excluded"):
             mortar_2d(*two(line([0.0, 1.0]), line([0.0, 1.0], up=True)), excluded=range(2))
         with pytest.raises(ValueError, match="only where slave nodes are excluded"):
             mortar_2d(*two(line([0.0, 1.0, 2.0]), line([0.0, 1.0], up=True)), excluded=(0, 1))
 
-
-class TestAxisymmetric:
-    @settings(max_examples=30, deadline=None)
-    @given(seed=SEEDS, slope=st.floats(min_value=-3, max_value=3))
-    def test_weights_are_areas(self, seed, slope):
-        rng = np.random.default_rng(seed)
-        r, rm = (random_line(rng, n, 0.0, 2.0) for n in (7, 4))  # from the axis
-        points, slave, master, normals = two(line(r, slope * r), line(rm, slope * rm, up=True), seed=seed)
-        found = mortar_2d(points, slave, master, normals, axisymmetric=True)
-        assert found.weights.sum() == pytest.approx(np.pi * 4 * np.hypot(1, slope), rel=1e-12)
-        loads = 2 * np.pi * np.hypot(1, slope) * hats_over(rm, [(0.0, 2.0)], lambda x: x)
-        np.testing.assert_allclose((found.coupling.T @ found.weights)[8:][::-1], loads, atol=1e-11)
-        np.testing.assert_allclose(found.coupling @ points, points[found.nodes], atol=1e-11)
 
 class TestRefusals:
     DATA = two(line(np.linspace(0, 1, 4), 0.1), line(np.linspace(0, 1, 3), up=True))
@@ -221,16 +187,13 @@ class TestRefusals:
             self.made(slave=np.r_[self.DATA[1], [[3, 4]]])
 
 
-class TestNormals:
-    def test_weighted_by_length(self):
-        points = np.array([[0.0, 3.0], [0.0, 0.0], [1.0, 0.0], [5.0, 5.0]])
-        normals = surface_normals(points, np.array([[0, 1], [1, 2]]))
-        np.testing.assert_allclose(normals, [[-1, 0], np.array([-3, -1]) / np.sqrt(10), [0, -1], [0, 0]])
-
-    def test_weighted_by_area(self):
-        points = np.array([[0, 0, 0], [0, 2, 0], [4, 0, 0], [0, 0, 1.0]])
-        normals = surface_normals(points, np.array([[0, 1, 2], [0, 3, 1]]))
-        np.testing.assert_allclose(normals[[0, 2]], [np.array([-1, 0, -4]) / np.sqrt(17), [0, 0, -1]])
+@pytest.mark.parametrize(("points", "facets", "normals"), [
+    ([[0.0, 3.0], [0.0, 0.0], [1.0, 0.0], [5.0, 5.0]], [[0, 1], [1, 2]], [[-1, 0], [-3, -1], [0, -1], [0, 0]]),
+    ([[0, 0, 0], [0, 2, 0], [4, 0, 0], [0, 0, 1.0]], [[0, 1, 2], [0, 3, 1]],
+     [[-1, 0, -4], [-1, 0, -4], [0, 0, -1], [-1, 0, 0]])], ids=["lengths", "areas"])
+def test_normals_are_weighted_by_measures(points, facets, normals):
+    size = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1)
+    np.testing.assert_allclose(surface_normals(np.array(points), np.array(facets)), normals / size, atol=1e-15)
 
 
 def test_without_jit(monkeypatch):
@@ -240,3 +203,161 @@ def test_without_jit(monkeypatch):
     uncompile(monkeypatch, module, search)
     for data, expected in zip(cases, compiled, strict=True):
         assert_same(mortar_2d(*data), expected)
+
+
+def errors_on_a_plane(n):
+    angles = np.linspace(1.25 * np.pi, 1.75 * np.pi, n + 1)
+    data = two(arc(1.0, angles, (0.0, 1.0)), line(np.linspace(-2, 2, 3), up=True))
+    found = mortar_2d(*data)
+    x = data[0][found.nodes]
+    return np.abs(found.gaps - x[:, 1] / (1 - x[:, 1]))[1:-1].max()
+
+
+def errors_of_rings(n):
+    """A shaft in a hole, gap 0.05: largest error of gap and of the nodes opposite."""
+    data = two(arc(1.0, np.arange(n) * 2 * np.pi / n), arc(1.05, -np.arange(n + n // 3) * 2 * np.pi / (n + n // 3)),
+               closed=True)
+    found = mortar_2d(*data)
+    assert len(found) == n
+    opposite = found.coupling @ data[0]
+    return np.array([np.abs(found.gaps - 0.05).max(), np.linalg.norm(opposite - 1.05 * data[0][:n], axis=1).max()])
+
+
+class TestCurved:
+    @pytest.mark.parametrize("errors", [errors_on_a_plane, errors_of_rings])
+    def test_second_order(self, errors):
+        coarse, fine, finer = (errors(n) for n in (48, 96, 192))
+        assert (coarse > 3.3 * fine).all() and (fine > 3.6 * finer).all() and (finer < 1e-4).all()
+
+    def test_press_fit_finds_the_near_side(self):
+        # hole of radius 1, shaft of radius 1.02: the rays also meet the far side of the hole
+        data = two(arc(1.02, np.linspace(0, 2 * np.pi, 60, endpoint=False)),
+                   arc(1.0, -np.linspace(0, 2 * np.pi, 70, endpoint=False)), closed=True)
+        found = mortar_2d(*data)
+        np.testing.assert_allclose(found.gaps, -0.02, atol=3e-3)
+        np.testing.assert_allclose(found.coupling @ data[0], data[0][:60], atol=0.03)
+
+    def test_masters_beyond_the_centre_of_curvature_do_not_count(self):
+        cup = arc(1.0, np.linspace(-0.25 * np.pi, -0.75 * np.pi, 12))
+        below, above = line([-0.3, 0.3], -0.5), line([-0.3, 0.3], 0.5)
+        assert len(mortar_2d(*two(cup, below)))
+        with pytest.raises(ValueError, match=NEVER_FACING):
+            mortar_2d(*two(cup, above))
+
+    @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+    def test_the_nearest_surface_counts(self, order):
+        # floors at -0.5 and 0 and a step at 0.1, numbered in any order, below a slave surface at 0.2
+        steps = np.array([[1.0, -0.5], [0.0, -0.5], [1.0, 0.0], [0.0, 0.0], [0.6, 0.1], [0.4, 0.1]])
+        points, slave, _, normals = two(line(np.linspace(0, 1, 6), 0.2), steps)
+        master = np.array([[6, 7], [8, 9], [10, 11]])[list(order)]
+        found = mortar_2d(points, slave, master, normals)
+        np.testing.assert_allclose(found.gaps, [0.2, 0.2, 0.15, 0.15, 0.2, 0.2], atol=1e-14)
+        assert not found.coupling[:, [6, 7]].count_nonzero()
+        # 0.02 below the top of the step overlap is nearer than the floor, 0.02 above the floor it is not
+        for height, gap in ((0.08, (0.08 - 0.02) / 2), (0.02, 0.02)):
+            points[:6, 1] = height
+            np.testing.assert_allclose(mortar_2d(points, slave, master, normals).gaps[2:4], gap, atol=1e-14)
+
+    @settings(max_examples=50, deadline=None)
+    @given(seed=SEEDS)
+    def test_rays_are_exact(self, seed):
+        # an edge whose normals differ by up to 100 degrees, in front of one master edge
+        rng = np.random.default_rng(seed)
+        tilt = rng.uniform(-0.9, 0.9, 2)
+        points = np.array([[0.0, 1.0], [1.0, 1.0], [2.5, rng.uniform(-0.3, 0.3)], [-1.5, rng.uniform(-0.3, 0.3)]])
+        normals = np.zeros((4, 2))
+        normals[:2] = np.column_stack([np.sin(tilt), -np.cos(tilt)])
+        surfaces = Surfaces(points, np.array([[0, 1]]), np.array([[2, 3]]), normals)
+        for node in (2, 3):
+            s = module._projection(surfaces, np.array([[0, 1]]), np.array([node]))[0]
+            if s not in (0.0, 1.0):
+                ray, offset = normals[0] + s * (normals[1] - normals[0]), points[0] + [s, 0] - points[node]
+                scale = (1 + abs(s))**2
+                assert abs(ray[0] * offset[1] - ray[1] * offset[0]) < 3e-14 * scale
+        s = rng.random((1, 3))
+        eta, distance = module._opposite(surfaces, np.array([[0, 1]]), np.array([[2, 3]]), s)
+        for k in range(3):
+            ray, x = normals[0] + s[0, k] * (normals[1] - normals[0]), np.array([s[0, k], 1.0])
+            there = points[2] + eta[0, k] * (points[3] - points[2])
+            np.testing.assert_allclose(x + distance[0, k] * ray / np.linalg.norm(ray), there, atol=1e-13)
+            if 0 < eta[0, k] < 1:
+                other = module.distance_along_normal(points, normals, 0, 1, 2, 3, s[0, k])
+                assert other == pytest.approx(distance[0, k], rel=1e-13) or np.isinf(other)
+
+    @settings(max_examples=25, deadline=None)
+    @given(seed=SEEDS)
+    def test_the_search_misses_nothing(self, seed):
+        rng = np.random.default_rng(seed)
+        t, s = random_line(rng, rng.integers(2, 25)), random_line(rng, rng.integers(2, 25), -0.3, 1.2)
+        lift = rng.uniform(-0.1, 0.4)
+        data = two(line(t, lift + 0.1 * np.sin(9 * t + lift)), line(s, 0.1 * np.cos(7 * s), up=True), seed=seed)
+
+        def everything(surfaces, backward, forward):
+            i, j = np.indices((len(surfaces.slave), len(surfaces.master)))
+            return i.ravel(), j.ravel()
+
+        reach = [None, 0.05, 3.0][seed % 3]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "_candidates", everything)
+            try:
+                expected = mortar_2d(*data, reach=reach)
+            except ValueError:
+                expected = None
+        if expected is None:
+            with pytest.raises(ValueError, match="surfaces"):
+                mortar_2d(*data, reach=reach)
+            return
+        assert_same(mortar_2d(*data, reach=reach), expected)
+
+
+# -- node to node (in space: test_mortar_3d) -----------------------------------------------------------------------
+
+def lines(x, gap, seed=None):
+    """A slave line above a master line with the same positions: node i of n faces node 2 n - 1 - i."""
+    return two(line(x, gap), line(x, up=True), seed=seed)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.4, -0.1])
+@pytest.mark.parametrize("axisymmetric", [False, True])
+def test_matching_lines(gap, axisymmetric):
+    data = lines(np.array([0.0, 0.1, 0.3, 0.7, 1.0]), gap, seed=1)
+    found, mortar = (couple(*data, axisymmetric=axisymmetric) for couple in (node_to_node, mortar_2d))
+    np.testing.assert_array_equal(found.coupling.indices, 9 - np.arange(5))
+    np.testing.assert_array_equal(found.coupling.data, 1.0)
+    np.testing.assert_allclose(found.gaps, gap)
+    np.testing.assert_allclose(found.weights, mortar.weights)
+    assert abs(found.coupling - mortar.coupling).max() < 1e-12 and mortar.coupling.nnz == 5
+    np.testing.assert_array_equal(mortar.nodes, np.arange(5))
+
+
+def test_excluded_nodes_have_no_row():
+    found = node_to_node(*lines(np.linspace(0, 1, 5), 0.0), excluded=(0, 3))
+    np.testing.assert_array_equal(found.nodes, [1, 2, 4])
+    np.testing.assert_allclose(found.weights, [0.25, 0.25, 0.125])
+
+
+def test_refusals(monkeypatch):
+    points, slave, master, normals = lines(np.linspace(0, 1, 5), 0.1)
+    moved = points.copy()
+    moved[6:8, 0] += 0.02
+    with pytest.raises(ValueError, match=r"slave node 2 \(0\.5, 0\.1\) has no partner: .* lies 0\.02 m off its "
+                                         r"normal, 0\.0025 m are allowed \(2 such nodes of 5\)"):
+        node_to_node(moved, slave, master, normals)
+    with pytest.raises(ValueError, match=f"^{NEVER_FACING}"):
+        node_to_node(points, slave, master[:, ::-1], normals)
+    turned = np.where((master == 5).any(axis=1, keepdims=True), master[:, ::-1], master)
+    with pytest.raises(ValueError, match=r"slave node 3 .* and faces the same way"):
+        node_to_node(points, slave, turned, normals)
+    with pytest.raises(ValueError, match=r"slave node 0 .* has no partner"):
+        node_to_node(points, slave, master[:-1], normals)
+    monkeypatch.setattr(pairs, "_OFFSET", 4.0)
+    with pytest.raises(ValueError, match=r"slave nodes 0 .* and 1 .* have the same partner 6"):
+        node_to_node(points, slave, master[:1], normals, excluded=(2, 3, 4))
+
+
+def test_a_node_on_the_axis(monkeypatch):
+    monkeypatch.setattr(pairs, "_OFFSET", 1.0)
+    points = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0], [0.0, 1.1], [0.0, -0.1], [1.0, -0.1]])
+    slave, master = np.array([[0, 1], [1, 2]]), np.array([[5, 4], [4, 3]])
+    with pytest.raises(ValueError, match=r"slave node 0 has no area"):
+        node_to_node(points, slave, master, surface_normals(points, slave), axisymmetric=True)

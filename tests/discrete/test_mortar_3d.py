@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mortar import mortar_3d
+from mortar import mortar_3d, node_to_node
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 from uncompiled import uncompile
@@ -58,17 +58,19 @@ def rigid(points, seed):
     return points @ Rotation.random(random_state=seed).as_matrix().T + [0.3, -2.0, 1.0]
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_matching_meshes_give_the_identity(seed):
-    top = square(80, seed, up=DOWN, z=0.1)
+@pytest.mark.parametrize("kind", [mortar_3d, node_to_node])
+def test_matching_meshes_give_the_identity(kind):
+    top = square(80, 0, up=DOWN, z=0.1)
     points, slave, master = joined(top, (top[0] - [0, 0, 0.1], top[1][:, ::-1]))
-    interface = couple(rigid(points, seed), slave, master)
+    points = rigid(points, 0)
+    interface = kind(points, slave, master, surface_normals(points, slave))
     n = len(top[0])
     np.testing.assert_array_equal(interface.nodes, np.arange(n))
     np.testing.assert_allclose(interface.coupling[:, n:].toarray(), np.eye(n), atol=1e-12)
     assert interface.coupling.nnz == n
     np.testing.assert_allclose(interface.gaps, 0.1, rtol=1e-12)
     np.testing.assert_allclose(interface.weights, lumped(points, slave)[:n], rtol=1e-12)
+    np.testing.assert_allclose(interface.normals, np.tile(interface.normals[0], (n, 1)), atol=1e-14)
 
 
 # the slave covers the same, a smaller or a larger rectangle than the master, or one that sticks out at two sides

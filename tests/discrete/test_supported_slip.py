@@ -6,7 +6,6 @@ from bodies import assert_agrees, assert_balanced
 from saddle import Parts
 
 import adaptmg as am
-from adaptmg.discrete.discretise import discretise
 
 FRICTION, PRESSURE, PULL = 0.4, 1e7, 1e-3
 EXACT = am.ActiveSet(rtol=1e-11)
@@ -41,13 +40,11 @@ def grids(problem, dim, on_pad, on_plate):
     return am.Hierarchy.uniform(problem, [divisions(on_pad // 2, on_plate // 2), divisions(on_pad, on_plate)])
 
 
-@pytest.mark.parametrize("solver", [am.FullMultigrid(rtol=1e-11), EXACT], ids=["nested", "active set"])
 @pytest.mark.parametrize(("dim", "slave", "coupling", "on_pad", "on_plate"), [
     (2, "pad", "mortar", 8, 5), (2, "pad", "mortar", 5, 8), (2, "plate", "mortar", 4, 4), (2, "plate", "mortar", 8, 5),
     (2, "pad", "nodes", 8, 8), (3, "pad", "mortar", 6, 4), (3, "plate", "mortar", 4, 5), (3, "pad", "nodes", 4, 4)])
-def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate, solver):
-    problem = pad(dim, slave, coupling)
-    result = am.solve(grids(problem, dim, on_pad, on_plate), solver)
+def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate):
+    result = am.solve(grids(pad(dim, slave, coupling), dim, on_pad, on_plate), EXACT)
     area = 40e-3 if dim == 2 else 1.6e-3
     on_the_pad, on_the_plate = result.resultant("pad.bottom").force, result.resultant("plate.top").force
     assert np.abs(on_the_pad + on_the_plate).max() <= 1e-12 * PRESSURE * area
@@ -59,28 +56,24 @@ def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate, solver):
     # the supports of the pad take the friction
     taken = sum(result.resultant(name).force[0] for name in ("pad.left", "pad.right"))
     assert taken == pytest.approx(-on_the_pad[0], rel=1e-8)
+    if (dim, slave, coupling) == (3, "pad", "mortar"):
+        # nodes whose slip the plate cannot tell apart carry no multiplier
+        assert len(result.contact) < len(result.mesh.boundary_nodes("pad.bottom"))
 
 
 @pytest.mark.parametrize("pull", [1e-6, 1e-3])
-@pytest.mark.parametrize(("on_pad", "on_plate"), [(8, 5), (6, 9)])
-def test_solvers_agree_on_a_pad(pull, on_pad, on_plate):
-    levels = grids(pad(2, pull=pull), 2, on_pad, on_plate)
-    assert_agrees(levels, {"nested": am.FullMultigrid(rtol=1e-11), "sparse": am.ActiveSet(condensed=False),
-                           "monotone": am.FullMultigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400)})
-
-
-@pytest.mark.parametrize("pull", [1e-6, 1e-3])
-def test_solvers_agree_on_a_pad_in_3d(pull):
-    levels = grids(pad(3, pull=pull), 3, 4, 5)
-    assert_agrees(levels, {"nested": am.FullMultigrid(rtol=1e-11), "active set": EXACT})
+@pytest.mark.parametrize(("dim", "on_pad", "on_plate"), [(2, 8, 5), (2, 6, 9), (3, 4, 5)])
+def test_solvers_agree_on_a_pad(dim, on_pad, on_plate, pull):
+    levels = grids(pad(dim, pull=pull), dim, on_pad, on_plate)
+    assert_agrees(levels, {"nested": am.FullMultigrid(rtol=1e-11), "sparse": am.ActiveSet(condensed=False)} | (
+        {"monotone": am.FullMultigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400)} if dim == 2 else {}))
 
 
 def test_some_of_it_sticks_under_a_small_pull():
     result = am.solve(grids(pad(2, pull=1e-6), 2, 16, 16), EXACT)
-    states = set(result.contact.state.tolist())
-    assert am.STICK in states
+    sticks = result.contact.state == am.STICK
+    assert sticks.any() and np.abs(result.contact.slip[sticks]).max() <= 1e-15
     assert_balanced(result, Parts.of(pad(2, pull=1e-6), result.mesh), 1e-7)
-    assert np.abs(result.contact.slip[result.contact.state == am.STICK]).max() <= 1e-15
 
 
 def test_a_history_of_the_pad():
@@ -93,45 +86,33 @@ def test_a_history_of_the_pad():
     assert back.resultant("pad.bottom").force[0] == pytest.approx(-size, rel=1e-9)
 
 
-class TestObstacle:
-    """In front of a rigid plane the support says how far a held node slides."""
+def on_a_plane(dim, law, pull):
+    """A block whose sides supports drive along a rigid plane; in 3D the other tangent is free."""
+    normal = np.eye(dim)[-1]
+    kind, make, shape = ((am.PlaneStrain, am.Rectangle, {}) if dim == 2 else (am.Solid, am.Box, {"depth": 40e-3}))
+    loads = (am.Pressure("top", 5e7), *((am.Traction("back", (0, 5e6, 0)),) if dim == 3 else ()))
+    return am.ContactProblem(
+        domain=make(width=40e-3, height=30e-3, **shape), material=kind(young=1.3e11, poisson=0.2), law=law, loads=loads,
+        contact=am.Contact("bottom", am.Plane(point=0 * normal, normal=normal)),
+        supports=(am.Support("left", x=pull), am.Support("right", x=pull)))
 
-    @pytest.mark.parametrize("solver", [am.FullMultigrid(rtol=1e-10), EXACT], ids=["multigrid", "active set"])
-    def test_all_of_a_driven_pad_slides(self, solver):
-        problem = am.ContactProblem(
-            domain=am.Rectangle(width=40e-3, height=20e-3), material=am.PlaneStrain(young=2.1e11, poisson=0.3),
-            contact=am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1))), law=am.Coulomb(FRICTION),
-            loads=(am.Pressure("top", PRESSURE),), supports=(am.Support("left", x=PULL), am.Support("right", x=PULL)))
-        result = am.solve(am.Hierarchy.uniform(problem, ((4, 2), (8, 4), (16, 8))), solver)
-        force = result.resultant("contact").force
-        assert force[0] == pytest.approx(-FRICTION * force[1], rel=1e-9)
-        assert (result.contact.state == am.SLIP).all()
-        held = sum(result.resultant(name).force[0] for name in ("left", "right"))
-        assert held == pytest.approx(-force[0], rel=1e-8)
 
-    @pytest.mark.parametrize("law", [am.Coulomb(0.4), am.Tresca(1.5e7)], ids=["coulomb", "tresca"])
-    @pytest.mark.parametrize("pull", [1e-7, 2e-5])
-    def test_friction_is_opposite_to_all_of_the_slip(self, law, pull):
-        """3D: one tangent is driven by the support, the other one free; single grids, Newton, cycles agree."""
-        problem = am.ContactProblem(
-            domain=am.Box(width=40e-3, depth=40e-3, height=30e-3), material=am.Solid(young=1.3e11, poisson=0.2),
-            contact=am.Contact("bottom", am.Plane(point=(0, 0, 0), normal=(0, 0, 1))), law=law,
-            loads=(am.Pressure("top", 5e7), am.Traction("back", (0, 5e6, 0))),
-            supports=(am.Support("left", x=pull), am.Support("right", x=pull)))
-        levels = am.Hierarchy.uniform(problem, ((2, 2, 2), (4, 4, 3)))
-        exact = am.solve(levels, EXACT)
-        contact, slides = exact.contact, exact.contact.state == am.SLIP
-        against = np.sum(contact.force_t * contact.slip, axis=1)[slides]
-        size = (np.linalg.norm(contact.slip, axis=1) * contact.limit)[slides]
-        np.testing.assert_allclose(against, -size, rtol=1e-9)
-        for solver in (am.ActiveSet(condensed=False, rtol=1e-12), am.FullMultigrid(rtol=1e-10),
-                       am.Multigrid(rtol=1e-10), am.SingleGrid(condensed=True, rtol=1e-10)):
-            result = am.solve(levels, solver, reference=exact)
-            assert result.history["true_error"][-1] <= 3e-10
+def test_all_of_a_driven_block_slides():
+    result = am.solve(am.Hierarchy.uniform(on_a_plane(2, am.Coulomb(FRICTION), PULL), ((4, 2), (8, 4))), EXACT)
+    force = result.resultant("contact").force
+    assert force[0] == pytest.approx(-FRICTION * force[1], rel=1e-9) and (result.contact.state == am.SLIP).all()
+    assert sum(result.resultant(name).force[0] for name in ("left", "right")) == pytest.approx(-force[0], rel=1e-8)
 
-def test_a_user_is_told_where_no_node_can_take_the_place():
-    problem = pad(3)
-    mesh = grids(problem, 3, 6, 4).finest.mesh
-    discrete = discretise(problem, mesh)
-    # those whose slip the plate cannot tell apart carry no multiplier; the others do
-    assert len(discrete.contact) < len(np.unique(mesh.boundary_facets("pad.bottom")))
+
+@pytest.mark.parametrize(("law", "pull"), [(am.Coulomb(0.4), 1e-7), (am.Coulomb(0.4), 2e-5), (am.Tresca(1.5e7), 1e-7)],
+                         ids=["little", "far", "tresca"])
+def test_friction_is_opposite_to_all_of_the_slip(law, pull):
+    """One tangent is driven by the support, the other one free; Newton and cycles agree."""
+    levels = am.Hierarchy.uniform(on_a_plane(3, law, pull), ((2, 2, 2), (4, 4, 3)))
+    exact = am.solve(levels, EXACT)
+    contact, slides = exact.contact, exact.contact.state == am.SLIP
+    against = np.sum(contact.force_t * contact.slip, axis=1)[slides]
+    size = (np.linalg.norm(contact.slip, axis=1) * contact.limit)[slides]
+    np.testing.assert_allclose(against, -size, rtol=1e-9)
+    for solver in (am.ActiveSet(condensed=False, rtol=1e-12), am.FullMultigrid(rtol=1e-10), am.Multigrid(rtol=1e-10)):
+        assert am.solve(levels, solver, reference=exact).history["true_error"][-1] <= 3e-10

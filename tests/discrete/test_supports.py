@@ -66,8 +66,7 @@ def test_springs_across_and_at_points_hold_what_nothing_else_does():
 def test_a_point_support_holds_one_node_and_symmetry_one_component():
     problem = on_springs(am.PlaneStress)
     mesh = structured(problem.domain, 4)
-    by_word, by_axis = (fixed_dofs(mesh, [one]) for one in (am.Symmetry("left"), am.Support("left", x=0.0)))
-    np.testing.assert_array_equal(by_word, by_axis)
+    np.testing.assert_array_equal(*(fixed_dofs(mesh, [one]) for one in (am.Symmetry("left"), am.Support("left", x=0))))
     held, values = fixed_dofs(mesh, [am.PointSupport((0.25, 1.0), y=1e-3)])
     node = int(np.flatnonzero(held)[0]) // 2
     assert held.sum() == 1 and mesh.points[node].tolist() == [0.25, 1.0] and values[2 * node + 1] == 1e-3
@@ -89,11 +88,11 @@ def test_graded_meshes_have_a_node_at_a_point_support_on_a_straight_edge(domain)
 
 
 def test_a_body_moved_along_the_obstacle_without_a_load_is_solved():
-    moved = (am.PointSupport((0, 1), x=1e-5, y=0.0), am.PointSupport((1, 1), y=0.0))
-    problem = replace(on_springs(am.PlaneStress), supports=moved, loads=(), law=am.Coulomb(0.3),
+    problem = replace(on_springs(am.PlaneStress), loads=(), law=am.Coulomb(0.3), supports=(
+        am.PointSupport((0, 1), x=1e-5, y=0.0), am.PointSupport((1, 1), y=0.0)),
                       contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))))
-    result = am.solve(am.Hierarchy.uniform(problem, (4, 8)))
-    np.testing.assert_allclose(result.displacement, [[1e-5, 0.0]] * 81, atol=1e-15)
+    result = am.solve(am.Hierarchy.uniform(problem, (2, 4)))
+    np.testing.assert_allclose(result.displacement, [[1e-5, 0.0]] * 25, atol=1e-15)
 
 
 @pytest.mark.parametrize(("make", "message"), [

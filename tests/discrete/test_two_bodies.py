@@ -33,30 +33,23 @@ INDEPENDENT = {2: [(4, 2), (7, 3)], 3: [(3, 1, 1), (2, 2, 1)]}
 
 class TestPatch:
     @DIMS
-    @PAIRS
-    @pytest.mark.parametrize("solver", [EXACT, am.FullMultigrid(rtol=1e-12)], ids=["active set", "multigrid"])
-    def test_flat(self, dim, pair, solver):
-        meshes = [stacked([(3 * k, 2 * k), (4 * k, 3 * k)] if dim == 2 else [(2 * k, k, k), (k, 3 * k, k)])
-                  for k in (1, 2)]
-        result = am.solve(am.Hierarchy.from_meshes(pressed(meshes[0], [pair], MATERIALS[dim]), meshes), solver)
-        assert_state(result, uniaxial(meshes[-1], MATERIALS[dim]))
-        force = P if pair == UPPER_ON_LOWER else -P
-        assert result.resultant(pair[0]).force == pytest.approx([*[0] * (dim - 1), force], rel=1e-12, abs=1e-11 * P)
-        moment = -force / 2 if dim == 2 else [-force / 2, force / 2, 0]
-        assert result.resultant(pair[1]).moment == pytest.approx(moment, rel=1e-9, abs=1e-9 * P)
-
-    @DIMS
     @pytest.mark.parametrize("pairs", [(a, b) for a in (("upper.bottom", "middle.top"), ("middle.top", "upper.bottom"))
                                        for b in (("middle.bottom", "lower.top"), ("lower.top", "middle.bottom"))])
     def test_three_blocks(self, dim, pairs):
         mesh = stacked([(4, 2), (7, 3), (3, 2)] if dim == 2 else [(3, 1, 1), (2, 2, 1), (1, 3, 2)])
         materials = (*MATERIALS[dim][::-1], MATERIALS[dim][1])
-        assert_state(am.solve(discretise(pressed(mesh, pairs, materials), mesh), EXACT), uniaxial(mesh, materials))
+        result = am.solve(am.Hierarchy.from_meshes(pressed(mesh, pairs, materials), mesh), EXACT)
+        assert_state(result, uniaxial(mesh, materials))
+        for slave, master in pairs:
+            force = P if slave.endswith("bottom") else -P
+            assert result.resultant(slave).force == pytest.approx([*[0] * (dim - 1), force], rel=1e-9, abs=1e-11 * P)
+            moment = -force / 2 if dim == 2 else [-force / 2, force / 2, 0]
+            assert result.resultant(master).moment == pytest.approx(moment, rel=1e-9, abs=1e-9 * P)
 
     @PAIRS
     @pytest.mark.parametrize("covered", [0.02, 0.6])
     def test_overhanging(self, covered, pair):
-        # the last edge that touches at all is covered by this fraction
+        """The last edge that touches is covered by this fraction; what follows carries its part."""
         n, materials = 5, MATERIALS[2]
         mesh = stacked([(7, 3), (n, 4)], width=n / (3 + covered))
         problem = pressed(mesh, [pair], materials)
@@ -72,10 +65,8 @@ class TestPatch:
         discrete = replace(discrete, load=discrete.load + discrete.coupling.relative_forces(load.ravel()))
         result = am.solve(am.Hierarchy((am.Level(discrete, mesh),)), EXACT)
         assert_state(result, uniaxial(mesh, materials))
-        sign = 1 if pair == UPPER_ON_LOWER else -1
-        # what follows carries its part
-        assert result.resultant(pair[0]).force == pytest.approx([0, sign * P], rel=1e-11, abs=1e-9 * P)
-        assert result.resultant(pair[1]).force == pytest.approx([0, -sign * P], rel=1e-11, abs=1e-9 * P)
+        for name, sign in zip(UPPER_ON_LOWER, (1, -1), strict=True):
+            assert result.resultant(name).force == pytest.approx([0, sign * P], rel=1e-11, abs=1e-9 * P)
 
     @PAIRS
     @pytest.mark.parametrize("inner", [0.0, 0.3], ids=["disks", "rings"])
@@ -124,65 +115,52 @@ class TestPatch:
 
 
 class TestCorner:
-    @pytest.mark.parametrize("order", [("floor", "wall", "cap"), ("cap", "wall", "floor")])
+    @pytest.mark.parametrize("order", [("floor", "wall", "cap"), ("wall", "floor", "cap"), ("cap", "wall", "floor")])
     def test_bodies_in_a_row(self, order):
         mesh, problem, exact = in_the_corner(order, am.Coulomb(0.3))
         a, b = far_node(mesh, "seat", (-1, -1)), far_node(mesh, "seat", (1, -1))
         discrete = held_at_points(problem, mesh, exact, [(a, 0), (a, 1), (b, 1)])
+        weights, contact = discrete.coupling.weights, discrete.contact
+        # the corner of the block belongs to the pair named first; in the other it is a plain node
+        corner = np.flatnonzero((mesh.points == 0).all(axis=1) & (np.arange(mesh.n_nodes) >= np.min(
+            mesh.elements[mesh.element_body == 1])))[0]
+        at = np.flatnonzero(contact.nodes == corner)
+        first, second = (name for name in order if name != "cap")
+        assert len(at) == 1 and contact.boundary[at[0]] == order.index(first)
+        np.testing.assert_allclose(contact.normals[at[0]], (0, -1) if first == "floor" else (-1, 0), atol=1e-15)
+        assert weights[contact.nodes[contact.boundary == order.index(second)]][:, corner].nnz == 1
         # a node of the cap follows the corner of the block, which follows the wall
-        weights = discrete.coupling.weights
         assert (weights @ weights).nnz
         result = am.solve(am.Hierarchy((am.Level(discrete, mesh),)), EXACT)
         assert_state(result, exact)
-        for name, force in {"block.bottom": (0, P), "block.left": (P, 0), "cap.bottom": (0, P)}.items():
-            master = {"block.bottom": "seat.floor", "block.left": "seat.wall", "cap.bottom": "block.top"}[name]
-            assert result.resultant(name).force == pytest.approx(force, rel=1e-9, abs=1e-9 * P)
+        for slave, master, force in (("block.bottom", "seat.floor", (0, P)), ("block.left", "seat.wall", (P, 0)),
+                                     ("cap.bottom", "block.top", (0, P))):
+            assert result.resultant(slave).force == pytest.approx(force, rel=1e-9, abs=1e-9 * P)
             assert result.resultant(master).force == pytest.approx(-np.array(force), rel=1e-9, abs=1e-9 * P)
         np.testing.assert_allclose(result.resultant("contact").force, [P, 2 * P], rtol=1e-9)
 
-    @pytest.mark.parametrize("order", [("floor", "wall", "cap"), ("wall", "floor", "cap")])
-    def test_the_corner_belongs_to_the_pair_named_first(self, order):
-        mesh, problem, _ = in_the_corner(order, am.Frictionless())
-        discrete = discretise(replace(problem, supports=(am.Support("seat.bottom", y=0.0),)), mesh)
-        corner = np.flatnonzero((mesh.points == 0).all(axis=1)
-                                & np.isin(np.arange(mesh.n_nodes), mesh.boundary_nodes("block.left")))
-        contact = discrete.contact
-        at = np.flatnonzero(contact.nodes == corner)
-        assert len(at) == 1 and contact.boundary[at[0]] == 0
-        np.testing.assert_allclose(contact.normals[at[0]], (0, -1) if order[0] == "floor" else (-1, 0), atol=1e-15)
-        # it follows what its pair faces; in the other pair it is a plain node
-        others = contact.nodes[contact.boundary == 1]
-        assert discrete.coupling.weights[others][:, corner].nnz == 1
-
 
 class TestHierarchies:
-    def check(self, grids):
-        reference = am.solve(grids, EXACT)
-        for solver in (am.FullMultigrid(), am.Multigrid()):
-            result = am.solve(grids, solver, reference=reference)
-            assert result.history["true_error"][-1] <= 3e-8 and result.cycles <= 40
-        return reference
-
     @pytest.mark.filterwarnings("ignore:bisected, levels=3")
-    def test_bisected(self):
+    def test_bisected_given_and_algebraic_levels_and_one_level(self):
+        """The same solution of all, and less to ask where there is no mesh."""
         problem = bar_on_block(am.Coulomb(0.5))
-        self.check(am.Hierarchy.bisected(problem, structured(problem.domain, {"upper": 3, "lower": (5, 4)}), 3))
-
-    def test_given_meshes_and_one_level(self):
-        problem = bar_on_block(am.Coulomb(0.5))
-        meshes = [structured(problem.domain, {"upper": k, "lower": k + 1}) for k in (3, 5, 9)]
-        grids = am.Hierarchy.from_meshes(replace(problem, domain=None), meshes, transfer=am.L2())
-        result = self.check(grids)
-        single = am.solve(grids.finest.discrete, am.SingleGrid(condensed=True, rtol=1e-11))
+        meshes = [structured(problem.domain, {"upper": k, "lower": k + 1}) for k in (3, 6)]
+        given = am.Hierarchy.from_meshes(replace(problem, domain=None), meshes, transfer=am.L2())
+        bisected = am.Hierarchy.bisected(problem, structured(problem.domain, {"upper": 3, "lower": (5, 4)}), 3)
+        algebraic = am.Hierarchy.algebraic(given.finest.discrete, max_coarse=60)
+        for grids, solver in ((bisected, am.FullMultigrid()), (bisected, am.Multigrid()), (given, am.FullMultigrid()),
+                              (given, am.Multigrid()), (algebraic, am.Multigrid())):
+            result = am.solve(grids, solver, reference=am.solve(grids, EXACT))
+            assert result.history["true_error"][-1] <= 3e-8 and result.cycles <= 40
+        result = am.solve(given, EXACT)
+        single = am.solve(given.finest.discrete, am.SingleGrid(condensed=True, rtol=1e-11))
         np.testing.assert_allclose(single.displacement, result.displacement,
                                    atol=1e-8 * np.abs(result.displacement).max())
-        assert single.resultant("upper.bottom").force == pytest.approx(result.resultant("upper.bottom").force)
-        assert single.resultant("lower.top").force == pytest.approx(result.resultant("lower.top").force)
+        for name in UPPER_ON_LOWER:
+            assert single.resultant(name).force == pytest.approx(result.resultant(name).force)
         with pytest.raises(ValueError, match=r"'lower.bottom' is not known"):
             single.resultant("lower.bottom")
-        algebraic = am.Hierarchy.algebraic(grids.finest.discrete, max_coarse=60)
-        again = am.solve(algebraic, am.Multigrid(), reference=result)
-        assert again.history["true_error"][-1] <= 3e-8
 
     def test_forces_balance_where_supports_drag_a_body_over_the_other(self):
         """At the corner both are held, and friction there passes from one support to the other."""

@@ -95,39 +95,31 @@ def test_outside_a_shape_that_is_not_convex(seed, dim):
     np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=1e-14)
 
 
-def test_far_away_and_none():
-    mesh = MESHES["random 2D"]
+def test_far_away_none_and_each_body():
+    mesh, both = MESHES["random 2D"], two_boxes(3, 2)
     found = PointLocator(mesh).locate(np.array([[1e9, 0.5], [-1e12, -1e12]]))
     np.testing.assert_allclose(found.distance, [1e9 - 1, np.sqrt(2) * 1e12], rtol=1e-12)
     empty = PointLocator(mesh).locate(np.zeros((0, 2)))
     assert empty.element.shape == (0,) and empty.weights.shape == (0, 3) and empty.distance.shape == (0,)
-
-
-def test_bodies_are_searched_apart():
-    mesh = two_boxes(3, 2)
     points = np.column_stack([np.linspace(0, 1, 20), np.zeros(20)])
     for body in (0, 1):
-        found = PointLocator(mesh, body=body).locate(points)
-        assert (mesh.element_body[found.element] == body).all()
-        np.testing.assert_array_equal(found.distance, 0)
-    with pytest.raises(ValueError, match="body 2 of the mesh has no elements"):
-        PointLocator(mesh, body=2)
+        found = PointLocator(both, body=body).locate(points)
+        assert (both.element_body[found.element] == body).all() and not found.distance.any()
 
 
-def test_failures_name_the_argument():
-    mesh = MESHES["random 2D"]
-    with pytest.raises(ValueError, match="points must be finite; point 1"):
-        PointLocator(mesh).locate(np.array([[0.5, 0.5], [np.nan, 0]]))
-    flat = MeshArrays(points=[[0, 0], [1, 0], [0, 1], [2, 0]], elements=[[0, 1, 2], [0, 1, 3]], facets=np.zeros((0, 2)),
-                      facet_labels=[], boundaries=())
-    with pytest.raises(ValueError, match="element 1 has no volume"):
-        PointLocator(flat)
-    none = MeshArrays(points=[[0, 0]], elements=np.zeros((0, 3)), facets=np.zeros((0, 2)), facet_labels=[],
-                      boundaries=())
-    with pytest.raises(ValueError, match="no elements"):
-        PointLocator(none)
-    with pytest.raises(ValueError, match="quantile"):
-        mesh_ratio(structured(1, 2), structured(2, 2), quantile=2)
+def bare(points, elements):
+    return MeshArrays(points=points, elements=elements, facets=np.zeros((0, 2)), facet_labels=[], boundaries=())
+
+
+@pytest.mark.parametrize(("call", "message"), [
+    (lambda: PointLocator(MESHES["disk"]).locate(np.array([[0.5, 0.5], [np.nan, 0]])), "must be finite; point 1"),
+    (lambda: PointLocator(bare([[0, 0], [1, 0], [0, 1], [2, 0]], [[0, 1, 2], [0, 1, 3]])), "element 1 has no volume"),
+    (lambda: PointLocator(bare([[0, 0]], np.zeros((0, 3)))), "no elements"),
+    (lambda: PointLocator(two_boxes(3, 2), body=2), "body 2 of the mesh has no elements"),
+    (lambda: mesh_ratio(structured(1, 2), structured(2, 2), quantile=2), "quantile")])
+def test_failures_name_the_argument(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
 
 
 def test_coincident_centroids_do_not_confuse_the_tree():
@@ -142,9 +134,8 @@ def test_coincident_centroids_do_not_confuse_the_tree():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_mesh_ratio_of_uniform_meshes(dim):
-    assert mesh_ratio(structured(2, dim), structured(4, dim)) == pytest.approx(2, abs=1e-12)
-    assert mesh_ratio(structured(4, dim), structured(2, dim)) == pytest.approx(0.5, abs=1e-12)
-    assert mesh_ratio(two_boxes(2, dim), two_boxes(6, dim)) == pytest.approx(3, abs=1e-12)
+    for make, n, m in ((structured, 2, 4), (structured, 4, 2), (two_boxes, 2, 6)):
+        assert mesh_ratio(make(n, dim), make(m, dim)) == pytest.approx(m / n, abs=1e-12)
 
 
 def test_mesh_ratio_sees_a_local_jump():

@@ -64,41 +64,35 @@ def test_monotone_guarantee(seed, dim, one_way):
     assert (opening - P @ at_bound).min() >= -1e-14
 
 
-def test_gaps_by_hand():
-    opening = np.array([3.0, 1, 5, 2, 7])
-    np.testing.assert_array_equal(smallest_gap(LINE, opening), [1, 1, 2, np.inf])
-    np.testing.assert_array_equal(largest_gap(LINE, opening), [3, 5, 7, np.inf])
-    np.testing.assert_array_equal(injected_gap(LINE, opening), [3, 5, 7, np.inf])
+OPENING, LIMIT = np.array([3.0, 1, 5, 2, 7]), np.array([1.0, 2, 4, 8, 16])
+TINY = np.where(np.arange(5) == 1, -1e-200, 1e-200)         # the product of two of them is 0
 
 
-def test_slips_by_hand():
-    slip = np.array([[3.0], [1], [2], [-4], [-1]])
-    np.testing.assert_array_equal(minmod_slip(LINE, slip)[:, 0], [1, 0, -1, 0])
-    np.testing.assert_array_equal(injected_slip(LINE, slip)[:, 0], [3, 2, -1, 0])
-    stick = np.array([True, False, False, False, False])
-    np.testing.assert_array_equal(minmod_slip(LINE, slip, stick)[:, 0], [0, 0, -1, 0])
-    tiny = np.full((5, 1), 1e-200)                          # the product of two of them is 0
-    tiny[1] = -1e-200
-    np.testing.assert_array_equal(minmod_slip(LINE, tiny)[:, 0], [0, 0, 1e-200, 0])
-    zero = np.array([[3.0], [0], [2], [4], [1]])
-    np.testing.assert_array_equal(minmod_slip(LINE, zero)[:, 0], [0, 0, 1, 0])
+@pytest.mark.parametrize(("function", "values", "expected"), [
+    (smallest_gap, OPENING, [1, 1, 2, np.inf]), (largest_gap, OPENING, [3, 5, 7, np.inf]),
+    (injected_gap, OPENING, [3, 5, 7, np.inf]), (summed_limit, LIMIT, [2, 9, 20, 0]),
+    (injected_limit, LIMIT, [1, 4, 16, 0])])
+def test_gaps_and_limits_by_hand(function, values, expected):
+    np.testing.assert_array_equal(function(LINE, values), expected)
+
+
+@pytest.mark.parametrize(("slip", "stick", "expected"), [
+    ([3, 1, 2, -4, -1], None, [1, 0, -1, 0]), ([3, 1, 2, -4, -1], 0, [0, 0, -1, 0]), (TINY, None, [0, 0, 1e-200, 0]),
+    ([3, 0, 2, 4, 1], None, [0, 0, 1, 0])])
+def test_slips_by_hand(slip, stick, expected):
+    slip = np.array(slip, dtype=float)[:, None]
+    found = minmod_slip(LINE, slip, *(() if stick is None else (np.arange(5) == stick,)))
+    np.testing.assert_array_equal(found[:, 0], expected)
+    np.testing.assert_array_equal(injected_slip(LINE, slip)[:, 0], [*slip[::2, 0], 0])
 
 
 def test_slips_in_the_plane_by_hand():
     slip = np.array([[3.0, 0], [1, 1e-8], [2, 0], [0, 2], [0, 1]])
-    expected = [[1, 1e-8], [0, 0], [0, 1], [0, 0]]
-    np.testing.assert_array_equal(minmod_slip(LINE, slip), expected)
+    np.testing.assert_array_equal(minmod_slip(LINE, slip), [[1, 1e-8], [0, 0], [0, 1], [0, 0]])
     np.testing.assert_array_equal(minmod_slip(LINE, slip, angle=1e-9)[0], [0, 0])
     np.testing.assert_array_equal(minmod_slip(LINE, slip * [[1], [-1], [1], [1], [1]])[0], [0, 0])
     np.testing.assert_array_equal(minmod_slip(LINE, slip, np.arange(5) == 4)[2], [0, 0])
     np.testing.assert_array_equal(injected_slip(LINE, slip), [[3, 0], [2, 0], [0, 1], [0, 0]])
-
-
-def test_limits_are_summed():
-    limit = np.array([1.0, 2, 4, 8, 16])
-    np.testing.assert_array_equal(summed_limit(LINE, limit), [2, 9, 20, 0])
-    assert summed_limit(LINE, limit).sum() == limit.sum()
-    np.testing.assert_array_equal(injected_limit(LINE, limit), [1, 4, 16, 0])
 
 
 def test_supports():
