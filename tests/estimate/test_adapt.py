@@ -102,11 +102,8 @@ def test_limits_end_the_loop():
     assert len(found) == 1 and "max_seconds" in found[0].outcome
 
 
-@pytest.mark.filterwarnings("ignore:friction 0.6 exceeds")
-@pytest.mark.parametrize("case, quantity", [
-    ("leaning_strut", am.Displacement((0.0, 0.0), "x")), ("hertz_cylinder", am.MeanDisplacement("upper.top", "y"))])
-def test_a_signed_estimate_that_is_far_off_is_not_settled(case, quantity):
-    found = loop(getattr(am.cases, case)(), None, am.Goal(quantity), max_nodes=900)
+def test_a_signed_estimate_that_is_far_off_is_not_settled():
+    found = loop(am.cases.hertz_cylinder(), None, am.Goal(am.MeanDisplacement("upper.top", "y")), max_nodes=900)
     exact = float(found[-1].estimate.corrected[0])
     ratios = np.array([step.estimate.signed / (exact - step.estimate.value) for step in found[:-1]])
     is_settled = np.array([step.settled for step in found[:-1]])
@@ -241,14 +238,21 @@ def test_it_starts_from_a_mesh_or_a_hierarchy_with_any_solver_and_transfer(monke
 def test_a_load_path_is_followed_on_every_mesh():
     problem = am.cases.greco_bar()
     path = am.LoadPath({"left": [0.5, 1.0, 0.2]}, default=1.0)
-    by_last, by_worst = (loop(problem, 10e-3, load_path=path, adapt_on=on, max_nodes=90) for on in ("last", "worst"))
+    solver = am.ActiveSet(rtol=1e-12)
+    by_last, by_worst = (loop(problem, 10e-3, load_path=path, adapt_on=on, max_nodes=90, solver=solver)
+                         for on in ("last", "worst"))
     for step in (*by_last, *by_worst):
         assert len(step.path) == 3 and step.path.complete
     assert by_last[0].result is by_last[0].path[2]
     first = by_worst[0]
+    posed = [posed_at(first.hierarchy, path, first.path, k) for k in range(3)]
     assert first.estimate.relative == max(
-        am.Residual().indicate(posed_at(first.hierarchy, path, first.path, k), one).relative
-        for k, one in enumerate(first.path))
+        am.Residual().indicate(*pair).relative for pair in zip(posed, first.path, strict=True))
+    # what is posed in a step is what its result solves
+    for k, grids in enumerate(posed):
+        alone = am.solve(grids, solver).displacement
+        np.testing.assert_allclose(first.path[k].displacement, alone, atol=1e-9 * np.abs(alone).max())
+        assert grids.problem.loads[-1].value == path.factors["left"][k] * problem.loads[-1].value
     one = am.LoadPath({"left": [1.0]}, default=1.0)
     plain = next(am.adapt(problem, 10e-3, engine=BISECT, max_nodes=90))
     single = next(am.adapt(problem, 10e-3, engine=BISECT, load_path=one, max_nodes=90))
@@ -274,17 +278,6 @@ def test_a_mesh_is_refined_for_all_load_steps_where_their_errors_lie_apart(engin
     others = [am.Residual().indicate(posed_at(last.hierarchy, path, last.path, k), one).relative
               for k, one in enumerate(last.path)]
     assert min(others) > 0.5 * last.estimate.relative
-
-
-def test_what_is_posed_in_a_load_step_is_what_its_result_solves():
-    problem, path = am.cases.greco_bar(), am.LoadPath({"left": [0.5, 1.0, 0.2]}, default=1.0)
-    grids = am.Hierarchy.uniform(problem, (4, 8))
-    results = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-11))
-    for k in range(3):
-        posed = posed_at(grids, path, results, k)
-        alone = am.solve(posed, am.ActiveSet(rtol=1e-12)).displacement
-        np.testing.assert_allclose(results[k].displacement, alone, atol=1e-9 * np.abs(alone).max())
-        assert posed.problem.loads[-1].value == path.factors["left"][k] * problem.loads[-1].value
 
 
 def test_the_parts_of_a_loop_fit_each_other():

@@ -16,22 +16,12 @@ from adaptive_loop import numbers_of, upset
 
 import adaptmg as am
 
-COARSE, NODES, UPSET = 8e-3, 500, upset()
-#: a loop in another process; it is killed from outside, or by itself at the n-th file that it writes
+COARSE, NODES, UPSET = 8e-3, 300, upset()
+#: a loop in another process
 CHILD = """
-import os, signal, sys
+import sys
 import adaptmg as am
-from adaptmg.solver import result_file, step_store
-folder, at = sys.argv[1], int(sys.argv[2])
-written = 0
-def counted(path, content, write=step_store.write_bytes):
-    global written
-    written += 1
-    if written == at:
-        os.kill(os.getpid(), signal.SIGKILL)
-    write(path, content)
-step_store.write_bytes = result_file.write_bytes = counted
-for step in am.adapt(am.cases.upset_block(law=am.Coulomb(0.5)), 8e-3, engine=am.Bisect(), max_nodes=500, store=folder):
+for step in am.adapt(am.cases.upset_block(law=am.Coulomb(0.5)), 8e-3, engine=am.Bisect(), max_nodes=300, store=sys.argv[1]):
     print(step.number, flush=True)
 """
 
@@ -42,35 +32,25 @@ def loop(store: Path | None, **options: object):
 
 
 @pytest.fixture(scope="module")
-def whole() -> list[bytes]:
-    return numbers_of(list(loop(None)))
+def kept(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("kept")
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("kept")
-    list(loop(folder))
-    return folder
+def whole(kept) -> list[am.Step]:
+    """The steps of a loop that is not broken off, in ``kept``."""
+    return list(loop(kept))
 
 
 @pytest.fixture
-def copied(kept, tmp_path) -> Path:
+def copied(kept, whole, tmp_path) -> Path:
     return Path(shutil.copytree(kept, tmp_path / "store"))
 
 
-@pytest.mark.parametrize("done", [0, 1, 3])
-def test_a_loop_that_is_broken_off_goes_on_with_the_same_numbers(tmp_path, whole, done):
-    list(itertools.islice(loop(tmp_path), done))
-    solved = []
-    found = list(loop(tmp_path, progress=lambda row: solved.append(row["step"]) if row["phase"] == "solve" else None))
-    assert numbers_of(found) == whole
-    assert solved == list(range(done, len(whole)))
-    assert found[-1].outcome.startswith("max_nodes")
-
-
+#: the number of steps before a loop is broken off, and its options
 KINDS = {
-    "remesh": (2, {"engine": am.Remesh(refinements=0), "max_nodes": 300}),
-    "coarsen": (2, {"engine": am.Bisect(coarsen=0.05), "max_nodes": 300}),
+    "at once": (0, {}), "after a step": (1, {}), "after three": (3, {}),
+    "remesh": (2, {"engine": am.Remesh(refinements=0)}), "coarsen": (2, {"engine": am.Bisect(coarsen=0.05)}),
     "levels": (2, {"problem": UPSET, "start": am.Hierarchy.uniform(UPSET, (2, 3, 6)), "max_nodes": 200}),
     "goal": (1, {"start": 10e-3, "indicator": am.Goal(am.Displacement((0.0, 0.02), "x")), "max_nodes": 90}),
     "path": (1, {"problem": am.cases.greco_bar(), "start": 10e-3, "adapt_on": "worst", "max_nodes": 90,
@@ -78,12 +58,15 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_of_loop_goes_on_with_the_same_numbers(tmp_path, kind):
+def test_a_loop_that_is_broken_off_goes_on_with_the_same_numbers(tmp_path, kind, whole):
     done, options = KINDS[kind]
-    once = list(loop(None, **options))
+    once = list(loop(None, **options)) if options else whole
     list(itertools.islice(loop(tmp_path, **options), done))
-    again = list(loop(tmp_path, **options))
-    assert numbers_of(again) == numbers_of(once)
+    solved = []
+    again = list(loop(tmp_path, **options,
+                      progress=lambda row: solved.append(row["step"]) if row["phase"] == "solve" else None))
+    assert numbers_of(again) == numbers_of(once) and set(solved) == set(range(done, len(once)))
+    assert again[-1].outcome.startswith("max_nodes")
     assert [repr(step.estimate) for step in again] == [repr(step.estimate) for step in once]
     assert [step.path and len(step.path) for step in again] == [step.path and len(step.path) for step in once]
 
@@ -91,28 +74,24 @@ def test_every_kind_of_loop_goes_on_with_the_same_numbers(tmp_path, kind):
 def test_a_finished_loop_is_read_not_made_again(kept, whole, monkeypatch):
     monkeypatch.setattr("adaptmg.estimate.loop.solved", lambda *a: pytest.fail("solved again"))
     found = list(loop(kept))
-    assert numbers_of(found) == whole and found[-1].outcome
+    assert numbers_of(found) == numbers_of(whole) and found[-1].outcome
     assert found[0].estimate.terms
     assert found[1].hierarchy[0] is found[0].hierarchy[0]
 
 
-@pytest.mark.parametrize("at", [1, None])
-def test_a_killed_loop_goes_on_with_the_same_numbers(tmp_path, whole, at):
-    """Killed while it writes the head, or from outside."""
-    child = subprocess.Popen([sys.executable, "-c", CHILD, str(tmp_path), str(at or -1)], stdout=subprocess.PIPE,
-                             text=True)
-    if at is None:
-        assert child.stdout.readline() == "0\n"
-        time.sleep(0.02)
-        child.kill()
+def test_a_killed_loop_goes_on_with_the_same_numbers(tmp_path, whole):
+    child = subprocess.Popen([sys.executable, "-c", CHILD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert child.stdout.readline() == "0\n"
+    time.sleep(0.02)
+    child.kill()
     child.communicate()
     assert child.returncode == -signal.SIGKILL
-    assert numbers_of(list(loop(tmp_path))) == whole
+    assert numbers_of(list(loop(tmp_path))) == numbers_of(whole)
 
 
 def test_limits_may_change(copied, whole):
-    further = list(loop(copied, max_nodes=900))
-    assert numbers_of(further)[:len(whole) - 1] == whole[:-1] and len(further) > len(whole)
+    further = list(loop(copied, max_nodes=500))
+    assert numbers_of(further)[:len(whole) - 1] == numbers_of(whole)[:-1] and len(further) > len(whole)
     assert len(list(loop(copied, max_nodes=100))) == len(further)  # what is there stays
 
 
@@ -121,6 +100,7 @@ def test_limits_may_change(copied, whole):
     ("indicator", {"indicator": am.Recovery()}), ("solver", {"solver": am.Multigrid()}),
     ("transfer", {"transfer": am.L2()}), ("grids", {"start": 7e-3}), ("law", {"problem": upset(0.4)}),
     ("path", {"load_path": am.LoadPath({}, default=[0.5, 1.0])})])
+@pytest.mark.usefixtures("whole")
 def test_a_store_of_something_else_is_refused(kept, what, options):
     with pytest.raises(ValueError, match=f"another run.*{what}"):
         loop(kept, **options)
@@ -176,7 +156,7 @@ def test_a_damaged_or_foreign_step_is_named_and_can_be_made_again(copied, whole,
         list(loop(copied))
     for file in sorted(copied.glob("step_*"))[1:]:
         file.unlink()
-    assert numbers_of(list(loop(copied))) == whole
+    assert numbers_of(list(loop(copied))) == numbers_of(whole)
 
 
 def test_a_full_disk_is_said_with_the_file(tmp_path, monkeypatch):

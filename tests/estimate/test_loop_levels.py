@@ -62,7 +62,7 @@ def test_whether_levels_are_nested_is_asked_once(monkeypatch):
     np.testing.assert_array_equal(*(result.displacement for result in results))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.lists(st.integers(1, 8), min_size=2, max_size=6))
 def test_thinning_as_levels_come_keeps_ratios_and_leaves_no_two_needlessly_close(steps):
     sizes = np.cumsum([3, *steps])

@@ -1,4 +1,4 @@
-"""The residual indicator: nothing where the solution is exact; terms, norms and load steps."""
+"""The residual indicator: nothing where the solution is exact; terms, norms, and the tractions it is made of."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -9,10 +9,10 @@ from made import cube, result_on, square
 
 import adaptmg as am
 from adaptmg.discrete.stress import StressData
+from adaptmg.estimate import boundary_tractions
 from adaptmg.estimate.residual import condition_squares
 from adaptmg.estimate.stress_fields import Posed, neighbours
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import step_problem
 
 EXACT = am.FullMultigrid(rtol=1e-10)
 
@@ -41,17 +41,26 @@ def test_what_a_solver_leaves_at_the_nodes_is_not_an_error_of_the_mesh(mesh):
         np.testing.assert_allclose(found, exact, rtol=1e-12, atol=1e-14 * exact.max())
 
 
-def test_nothing_is_estimated_where_the_solution_is_exact():
-    bar = am.cases.greco_bar(law=am.Frictionless())
-    grids = am.Hierarchy.uniform(bar, divisions=(4, 8))
-    exact = [(grids, am.solve(grids, EXACT))]
-    for options in ({"slope": 20.0, "side_pressure": 3e7}, {"dim": 3}):
-        blocks = am.cases.two_block_patch(**options)
-        grids = am.Hierarchy.from_meshes(blocks, [am.cases.patch_mesh(blocks, n) for n in (2, 4)])
-        exact.append((grids, am.solve(grids, EXACT)))
-    for grids, result in exact:
-        for indicator in (am.Residual(), am.Recovery()):
-            assert indicator.indicate(grids, result).relative < 1e-7
+@pytest.mark.parametrize("options", [None, {"slope": 20.0, "side_pressure": 3e7}, {"dim": 3}], ids=str)
+def test_where_the_solution_is_exact_nothing_is_estimated_and_both_sides_bear_the_same_traction(options):
+    if options is None:
+        problem = am.cases.greco_bar(law=am.Frictionless())
+        grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
+    else:
+        problem = am.cases.two_block_patch(**options)
+        grids = am.Hierarchy.from_meshes(problem, [am.cases.patch_mesh(problem, n) for n in (2, 4)])
+    result = am.solve(grids, am.FullMultigrid(rtol=1e-11))
+    for indicator in (am.Residual(), am.Recovery()):
+        assert indicator.indicate(grids, result).relative < 1e-7
+    if options is not None:
+        sides = [boundary_tractions(result, name) for name in problem.pair_boundaries]
+        for side in sides:
+            for pressure in (side.pressure, side.stress_pressure):
+                np.testing.assert_allclose(pressure, problem.reference["pressure"], rtol=1e-8)
+            np.testing.assert_allclose(np.linalg.norm(side.tangential, axis=1), problem.reference["traction"],
+                                       rtol=1e-7, atol=1e-1)
+        slave, master = (side.contact.mean(axis=0) for side in sides)
+        np.testing.assert_allclose(slave, -master, rtol=1e-7, atol=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -76,14 +85,33 @@ def test_terms_sum_to_the_total_and_the_norm_is_that_of_the_displacement(solved,
         am.Residual().indicate(grids, dataclasses.replace(result, contact=broken))
 
 
-def test_steps_of_a_load_path_are_estimated_under_their_own_loads(solved):
-    grids = solved[0]
-    path = am.solve_path(grids, am.LoadPath({"top": [1.0, 1.0], "left": [0.3, 1.0]}), EXACT)
-    step = dataclasses.replace(grids, problem=step_problem(grids.problem, {"left": 0.3}))
-    again = am.Hierarchy.uniform(am.cases.greco_bar(side_pressure=4.5e7), divisions=(4, 8, 16))
-    wanted = am.Residual().indicate(again, am.solve(again, EXACT))
-    assert am.Residual().indicate(step, path[0]).total == pytest.approx(wanted.total, rel=1e-6)
-    assert am.Residual().indicate(grids, path[1]).total > 0
+def test_signs_of_tractions_and_where_nothing_touches(solved):
+    result = solved[1]
+    bottom, top = (boundary_tractions(result, name) for name in ("bottom", "top"))
+    np.testing.assert_array_equal(bottom.nodes, result.contact.node)
+    np.testing.assert_allclose(bottom.pressure, result.contact.pressure, rtol=1e-12)
+    np.testing.assert_allclose(bottom.contact[:, 0], result.contact.traction[:, 0], rtol=1e-12)
+    # the bar is pushed in +x, friction on it acts in -x, the plane pushes it up
+    assert bottom.contact[5:10, 0].max() < 0 < bottom.contact[5:10, 1].min()
+    np.testing.assert_array_equal(bottom.normals, np.tile([0.0, -1.0], (17, 1)))
+    assert (top.contact == 0).all()
+    np.testing.assert_allclose(top.stress_pressure, 5e7, rtol=0.5)
+
+
+def test_a_contact_boundary_cut_in_two_bears_what_it_bears_whole():
+    whole, size, floor = am.cases.greco_bar(), 40e-3, am.Plane((0, 0), (0, 1))
+    cut = am.Polygon(vertices=((0, 0), (size / 2, 0), (size, 0), (size, size), (0, size)),
+                     boundaries=("first", "second", "right", "top", "left"))
+    mesh = am.mesh.graded(cut, 4e-3, ("first", "second"), 1.0)
+    joined = dataclasses.replace(mesh, facet_labels=np.where(mesh.facet_labels == 1, 0, mesh.facet_labels),
+                                 boundaries=("bottom", "unused", "right", "top", "left"))
+    two = dataclasses.replace(whole, domain=cut, reference={},
+                              contact=(am.Contact("first", floor), am.Contact("second", floor)))
+    estimates = []
+    for problem, used in ((two, mesh), (dataclasses.replace(whole, domain=None), joined)):
+        grids = am.Hierarchy.from_meshes(problem, [used])
+        estimates.append(am.Residual().indicate(grids, am.solve(grids, am.ActiveSet(rtol=1e-11))).squares)
+    np.testing.assert_allclose(*estimates, rtol=1e-6, atol=1e-9 * estimates[1].max())
 
 
 def test_a_facet_of_no_element_is_refused():

@@ -166,8 +166,7 @@ def newton_matrix(problem, contact, newton: bool) -> np.ndarray:
     return F.T @ (T[:, None] * J * T) @ F
 
 
-@pytest.mark.parametrize("of_dofs", [False, True], ids=["nodal", "dofs"])
-@pytest.mark.parametrize("newton", [True, False], ids=["newton", "frozen"])
+@pytest.mark.parametrize(("newton", "of_dofs"), [(True, False), (True, True), (False, False)])
 @pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
@@ -254,17 +253,15 @@ def test_transfers(dim):
     np.testing.assert_allclose(u, expected)
 
 
-@pytest.mark.parametrize("limit", [0, 10_000], ids=["sparse", "dense"])
-def test_singular_coarsest_matrices_are_shifted(limit, monkeypatch):
-    monkeypatch.setattr(CoarseFactors, "DENSE", limit)
+def test_singular_coarsest_matrices_are_shifted(monkeypatch):
     matrix = sparse.bsr_array(np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]]),
                               blocksize=(2, 2))
-    factors = CoarseFactors(split(matrix, np.zeros(4, dtype=bool)))
-    factors.renew()
-    result = np.empty(4)
-    factors.solve(np.array([1.0, -1.0, 0.0, 2.0]), result)
-    assert np.isfinite(result).all()
-    np.testing.assert_allclose(matrix @ result, [1, -1, 0, 2], atol=1e-5)
+    for dense in (0, 10_000):
+        monkeypatch.setattr(CoarseFactors, "DENSE", dense)
+        factors, result = CoarseFactors(split(matrix, np.zeros(4, dtype=bool))), np.empty(4)
+        factors.renew()
+        factors.solve(np.array([1.0, -1.0, 0.0, 2.0]), result)
+        np.testing.assert_allclose(matrix @ result, [1, -1, 0, 2], atol=1e-5)
 
 
 @pytest.mark.parametrize("alpha, cut", [(0.0, 0), (0.4, 0), (0.6, 1), (1.1, 2), (-1.0, 1)])

@@ -111,11 +111,6 @@ def test_slip_just_beyond_the_bound(size):
     np.testing.assert_allclose(slip, [0.15 * size, 0.2 * size], rtol=1e-15 * limit / size + 1e-14)
 
 
-def test_stick_and_touch_are_exact():
-    w = solve_2d(2.0, 0.1, 3.0, 5.0, 0.7, 0.3, 0.21, 0.0, 0.5)
-    assert w == (0.3, 0.21)
-
-
 def test_no_obstacle():
     """An infinite gap never closes; the Tresca limit acts all the same."""
     assert solve_2d(2.0, 0.0, 4.0, 6.0, 3.0, np.inf, 0.0, 1.0, 0.7) == (3.0, 0.5)

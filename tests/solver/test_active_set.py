@@ -37,9 +37,9 @@ def closeness(result: am.Result, other: np.ndarray) -> float:
     return float(np.abs(result.displacement - other).max() / np.abs(other).max())
 
 
-def floating(law: am.Coulomb | am.Tresca = am.Coulomb(0.5)) -> DiscreteProblem:  # noqa: B008
+def floating() -> DiscreteProblem:
     """A square that only contact holds, pressed down and pushed aside."""
-    problem = am.cases.greco_bar(law=law)
+    problem = am.cases.greco_bar(law=am.Coulomb(0.5))
     loads = am.Pressure("top", 5e7), am.Traction("top", (1e7, 0.0))
     return am.discretise(replace(problem, loads=loads, supports=()), structured(problem.domain, 8))
 
@@ -116,7 +116,7 @@ def alart_curnier(local: LocalProblem, unknowns: np.ndarray, stiffness: np.ndarr
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_step_is_newtons(dim, law):
     states = set()
-    for seed in range(8):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         local = network(dim, law, seed)
         unknowns = 0.3 * rng.normal(size=local.system.n_dofs)
@@ -171,10 +171,6 @@ def test_too_few_steps_are_reported_and_wrong_options_refused():
         am.solve(grids("bar, friction 1"), am.ActiveSet(max_steps=1))
     result = caught.value.result
     assert result.status is am.Status.LIMIT and result.residual > 1e-3 and result.cycles == 1
-    with pytest.raises(ValueError, match="max_steps must be >= 1"):
-        am.ActiveSet(max_steps=0)
-    with pytest.raises(TypeError, match="nested_start must be True or False"):
-        am.ActiveSet(nested_start=1)
     with pytest.raises(ValueError, match="condensed=True needs"):
         am.ActiveSet(linear=am.AMG(), condensed=True)
 

@@ -262,18 +262,18 @@ def test_faults_of_friction_at_supports_are_caught():
 def test_the_coarse_correction_is_galerkins(problem):
     discrete = am.Hierarchy.uniform(problem, divisions=(17 if problem.dim == 2 else 6,)).finest.discrete
     found, n, dim = Aggregates(discrete), discrete.n_nodes, discrete.dim
-    matrix, modes, rows = discrete.matrix, 3 * dim - 3, np.flatnonzero(found.label >= 0)
-    motions = np.zeros((n, dim, len(found.indptr) - 1, modes))
+    modes, rows, nodes = 3 * dim - 3, np.flatnonzero(found.label >= 0), np.arange(n)
     turns = np.array([[[0, -1], [1, 0]]] if dim == 2 else
                      [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]],
                       [[0, -1, 0], [1, 0, 0], [0, 0, 0]]])
-    own = np.einsum("qij,nj->niq", turns, found.offset)
+    motions = np.zeros((n, dim, len(found.indptr) - 1, modes))
     motions[rows, :, found.label[rows], :dim] = np.eye(dim)
-    motions[rows, :, found.label[rows], dim:] = own[rows]
-    basis, added = motions.reshape(n * dim, -1), np.diag(matrix.diagonal())
-    diagonal = np.stack([(matrix + added)[dim * i:dim * i + dim, dim * i:dim * i + dim] for i in range(n)])
-    coarse = CoarseMatrix(found, matrix, diagonal, np.full(n, -1, dtype=np.int32), np.empty((0, dim, dim)))
+    motions[rows, :, found.label[rows], dim:] = np.einsum("qij,nj->niq", turns, found.offset)[rows]
+    basis, dense = motions.reshape(n * dim, -1), discrete.matrix.toarray()
+    dense += np.diag(np.diag(dense))
+    diagonal = dense.reshape(n, dim, n, dim)[nodes, :, nodes]
+    coarse = CoarseMatrix(found, discrete.matrix, diagonal, np.full(n, -1, dtype=np.int32), np.empty((0, dim, dim)))
     residual, result = np.random.default_rng(0).standard_normal(n * dim), np.zeros(n * dim)
     coarse.correct(residual, result)
-    expected = basis @ np.linalg.solve(basis.T @ (matrix + added) @ basis, basis.T @ residual)
+    expected = basis @ np.linalg.solve(basis.T @ dense @ basis, basis.T @ residual)
     np.testing.assert_allclose(result, expected, atol=1e-8 * abs(expected).max())

@@ -1,6 +1,7 @@
 """The loop over iterations, what ends it, and corrections with cycles of their own."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,11 +93,6 @@ class ActiveSetInDisguise:
         return replace(self.from_given(None), cycles=1)
 
 
-class Wrong(ActiveSetInDisguise):
-    def method(self, options, hierarchy, run):
-        return 5
-
-
 def test_a_correction_may_bring_cycles_of_its_own(grids):
     correction = ActiveSetInDisguise()
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12)).displacement
@@ -109,5 +105,6 @@ def test_a_correction_may_bring_cycles_of_its_own(grids):
     path, expected = (am.solve_path(grids, am.LoadPath(default=[0.5, 1.0]), solver)[-1].displacement
                       for solver in (am.FullMultigrid(correction=correction), am.ActiveSet(rtol=1e-12)))
     assert np.allclose(path, expected, rtol=1e-8, atol=1e-15)
+    wrong = SimpleNamespace(method=lambda options, hierarchy, run: 5)
     with pytest.raises(TypeError, match="from_given"):
-        am.solve(grids, am.Multigrid(correction=Wrong()))
+        am.solve(grids, am.Multigrid(correction=wrong))

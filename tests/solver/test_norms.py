@@ -48,14 +48,14 @@ def exact(grids):
     return am.solve(grids, am.ActiveSet(rtol=3e-11))
 
 
-@pytest.mark.parametrize("rtol", [1e-3, 1e-8])
 @pytest.mark.parametrize("method", list(METHODS))
-def test_the_error_is_what_was_asked_for(grids, exact, method, rtol):
-    result = am.solve(grids, replace(METHODS[method], rtol=rtol), reference=exact)
-    true = distance(grids.finest.discrete, result.displacement, exact.displacement)
-    assert true <= 3 * rtol
-    if method != "single grid, condensed":  # its interior is recovered after the last check
-        assert result.history["true_error"][-1] == pytest.approx(true, rel=1e-2, abs=1e-11)
+def test_the_error_is_what_was_asked_for(grids, exact, method):
+    for rtol in (1e-3, 1e-8):
+        result = am.solve(grids, replace(METHODS[method], rtol=rtol), reference=exact)
+        true = distance(grids.finest.discrete, result.displacement, exact.displacement)
+        assert true <= 3 * rtol
+        if method != "single grid, condensed":  # its interior is recovered after the last check
+            assert result.history["true_error"][-1] == pytest.approx(true, rel=1e-2, abs=1e-11)
 
 
 @pytest.mark.parametrize("frames", [False, True])
@@ -91,9 +91,9 @@ def test_load_steps(grids, exact):
     assert distance(grids.finest.discrete, pressed.displacement, exact.displacement) <= 3e-8
 
 
-@pytest.mark.parametrize("method", ["truncated, nested", "monotone, nested", "active set"])
-def test_a_body_that_nothing_strains(method):
+def test_a_body_that_nothing_strains():
     """Lowered half way, all its forces are rounding, to which nothing can be related."""
     apart = am.Hierarchy.uniform(lowered(down=5e-3), divisions=(4, 8, 16))
-    result = am.solve(apart, replace(METHODS[method], rtol=1e-8))
-    assert np.abs(result.displacement - [0.0, -5e-3]).max() <= 1e-14
+    for method in ("truncated, nested", "monotone, nested", "active set"):
+        result = am.solve(apart, replace(METHODS[method], rtol=1e-8))
+        assert np.abs(result.displacement - [0.0, -5e-3]).max() <= 1e-14, method

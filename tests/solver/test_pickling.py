@@ -1,7 +1,6 @@
-"""Results, meshes and exceptions go to other processes and come back: a pool must not hang on what a worker raises."""
+"""Results, meshes and exceptions go to other processes and come back: a pool hangs on what it cannot unpickle."""
 
 import copy
-import multiprocessing
 import pickle
 
 import numpy as np
@@ -22,19 +21,6 @@ def unfinished() -> am.Result:
 
 def some_path() -> am.PathResult:
     return am.PathResult((result_on(square(3)), unfinished()), {"left": np.array([0.5, 1.0, 0.0])}, {"problem": "x"}, 3)
-
-
-def raises(kind: str) -> None:
-    """What a worker does."""
-    if kind == "NotConverged":
-        raise NotConverged(unfinished())
-    raise StepNotConverged(unfinished(), 1, "left 1", some_path())
-
-
-def returns(n: int) -> am.Result:
-    mesh = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), n)
-    assert mesh.source is not None
-    return result_on(mesh)
 
 
 WAYS = {"pickle": lambda x: pickle.loads(pickle.dumps(x)), "oldest": lambda x: pickle.loads(pickle.dumps(x, 2)),
@@ -69,28 +55,3 @@ def test_a_copy_keeps_the_ngsolve_mesh_and_a_pickle_needs_none():
     mesh = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), 2)
     assert copy.copy(mesh).source is mesh.source is copy.deepcopy(mesh).source
     assert pickle.loads(pickle.dumps(mesh)).source is None
-
-
-@pytest.mark.slow
-def test_a_pool_hands_back_results_and_exceptions():
-    # with a limit: a pool waits without end for what it cannot unpickle
-    with multiprocessing.get_context("spawn").Pool(1) as workers:
-        assert same(workers.apply_async(returns, (2,)).get(100), returns(2))
-        for kind in (NotConverged, StepNotConverged):
-            with pytest.raises(kind, match="LIMIT") as caught:
-                workers.apply_async(raises, (kind.__name__,)).get(100)
-            assert same(caught.value.result, unfinished())
-
-
-def test_dask_hands_back_results_and_exceptions():
-    protocol = pytest.importorskip("distributed.protocol")
-    from distributed.core import clean_exception, error_message
-
-    # as a worker sends it, and as the client raises it
-    try:
-        raises("NotConverged")
-    except NotConverged as error:
-        sent = error_message(error)
-    found = clean_exception(sent["exception"].data, sent["traceback"].data)[1]
-    assert type(found) is NotConverged and same(found.result, unfinished())
-    assert same(protocol.deserialize(*protocol.serialize(returns(2))), returns(2))

@@ -55,7 +55,5 @@ def test_the_estimate_against_the_compliance(grids):
         unit[np.searchsorted(free, dofs)] = frame.T
         stiffness = np.linalg.inv(unit.T @ np.linalg.solve(matrix, unit))
         assert critical[i] == pytest.approx(stiffness[1, 1] / abs(stiffness[0, 1]), rel=1e-8)
-
-
-def test_a_body_that_contact_holds_has_no_estimate():
+    # a body that contact holds has none
     assert np.isnan(critical_friction(am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4)).finest.discrete)).all()

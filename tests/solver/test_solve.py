@@ -7,9 +7,7 @@ import pytest
 from made import result_on
 
 import adaptmg as am
-from adaptmg._checks import VAST
 from adaptmg.solver.record import Outcome
-from adaptmg.solver.solve import displacement_argument
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +29,6 @@ def test_probe(bar):
     assert result.probe(grids.finest.mesh.points[nodes]) == pytest.approx(result.displacement[nodes], rel=1e-12)
     with pytest.raises(ValueError, match="outside the mesh"):
         result.probe([(0.0, -0.01)])
-    with pytest.raises(ValueError, match="shape"):
-        result.probe([(0.0, 0.0, 0.0)])
     bare = am.solve(grids.finest.discrete, am.SingleGrid(rtol=1e-3))
     with pytest.raises(ValueError, match="no mesh"):
         bare.probe([(0.0, 0.0)])
@@ -64,14 +60,6 @@ def test_start(bar):
     cold = am.solve(grids, am.Multigrid())
     warm = am.solve(grids, am.Multigrid(), start=reference)
     assert warm.cycles < cold.cycles / 2
-    with pytest.raises(ValueError, match="start must have shape"):
-        am.solve(grids, am.Multigrid(), start=np.zeros((3, 2)))
-    with pytest.raises(ValueError, match="finite"):
-        am.solve(grids, am.Multigrid(), start=np.full(reference.displacement.shape, np.nan))
-    vast = np.full(reference.displacement.shape, VAST)
-    assert displacement_argument("start", vast, grids.finest.discrete).max() == VAST
-    with pytest.raises(ValueError, match=r"start must be at most 1e\+40 m, got 2e\+40"):
-        am.solve(grids, am.Multigrid(), start=2 * vast)
     with pytest.raises(ValueError, match="its own start"):
         am.solve(grids, am.FullMultigrid(), start=reference)
 
@@ -172,7 +160,6 @@ def test_resultants_balance_the_loads(solved):
 
 def test_contact_without_names_has_a_resultant():
     result = result_on(None)
-    assert result.contact.masters == ("",)
     np.testing.assert_array_equal(result.resultant("contact").force, result.contact.force.sum(axis=0))
     with pytest.raises(ValueError, match="boundary '' is not known"):
         result.resultant("")
@@ -180,7 +167,7 @@ def test_contact_without_names_has_a_resultant():
 
 @pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(0.3)])
 def test_a_force_at_a_corner_belongs_to_the_supports_that_hold_it(law, tmp_path):
-    """A square between two supports and the plane; frictionless: homogeneous, each side carries its pressure."""
+    """A square between two supports and the plane."""
     smooth = isinstance(law, am.Frictionless)
     problem = am.ContactProblem(
         material=am.PlaneStrain(young=1e9, poisson=0.3), domain=am.Rectangle(width=1.0, height=1.0), law=law,
@@ -192,6 +179,7 @@ def test_a_force_at_a_corner_belongs_to_the_supports_that_hold_it(law, tmp_path)
     for found in (result, am.Result.load(tmp_path / "run.npz")):
         left, top, right, bottom = (found.resultant(name).force for name in ("left", "top", "right", "bottom"))
         if smooth:
+            # homogeneous: each side carries its pressure
             assert left == pytest.approx([1e6, 0], abs=1e-3) and right == pytest.approx([0, 0], abs=1e-3)
             assert top == pytest.approx([0, -found.resultant("contact").force[1]], abs=1e-3)
             continue

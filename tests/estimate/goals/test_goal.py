@@ -26,15 +26,6 @@ def bar(divisions):
     return solved(am.cases.greco_bar(), divisions=(divisions,))
 
 
-def glued(a=1.0):
-    """A block whose foot sticks all along, under a smooth pressure: linear, without singularity."""
-    return am.ContactProblem(
-        name="glued block", material=am.PlaneStrain(young=1e9, poisson=0.3), domain=am.Rectangle(width=a, height=a),
-        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=am.Tresca(1e12),
-        loads=(am.Pressure("top", lambda x: 1e6 * (1 + 0.5 * np.cos(np.pi * x[:, 0] / a))),),
-        supports=(am.Support("left", x=0.0), am.Support("right", x=0.0)))
-
-
 def test_points_of_the_bar_have_their_converged_values(divisions=16):
     estimate = am.Goal(LINE).indicate(*bar(divisions))
     errors = CONVERGED - estimate.values
@@ -178,7 +169,7 @@ def valley():
 
 @pytest.mark.parametrize(("problem", "point", "sizes"), [
     (disc(am.PlaneStrain), None, (8e-3, 1e-3)), (disc(am.Axisymmetric), None, (8e-3, 1e-3)),
-    (valley(), (0.037, 0.0), (2e-3, 5e-4))], ids=["plane", "axisymmetric", "point before a gap function"])
+    (valley(), (0.037, 0.0), (3e-3, 1e-3))], ids=["plane", "axisymmetric", "point before a gap function"])
 def test_openings_of_curved_boundaries_contain_what_chords_change(problem, point, sizes):
     goal = am.Goal(am.Opening(problem.contact[0].boundary, point=point))
     coarse, fine = (am.Hierarchy.graded(problem, (size,)) for size in sizes)
