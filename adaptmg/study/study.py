@@ -58,8 +58,12 @@ class Study:
     """A parameter sweep.
 
     Each run is stored when it ends. A study that is run again computes only points that are missing, that failed, and
-    that are stale: code or values that the run function reads, the numerical sources of adaptmg, or a version of a
-    package changed (see :meth:`status`). Data files and environment variables are not seen; ``depends`` can name them.
+    that are stale (:meth:`status` says why). A row is stale when one of these changed: the compiled code of a function
+    or class of the user's modules that the run function reaches; a value that it reads (globals, closures, defaults,
+    attributes); a name of a module that it imports inside or passes on; the numerical sources of adaptmg; the version
+    of a package. Comments and docstrings of functions do not count. Not seen are data files, the environment, time, the
+    state of libraries, packages edited at run time, modules imported under a name made at run time, annotations, and
+    what an object leaves out of its pickle: ``depends`` can name these.
 
     Parameters
     ----------
