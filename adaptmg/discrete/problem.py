@@ -25,7 +25,7 @@ from scipy import sparse
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._check_arrays import indices_frozen
-from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._runtime import OnDemand, Token, made_on_demand, remembered
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     ContactNodes,
@@ -214,6 +214,7 @@ class DiscreteProblem(Unknowns):
         arrays["near_nullspace"] = modes
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "_structure", Token())
         if self.bodies is not None:
             object.__setattr__(self, "bodies", checked_bodies(self.bodies, n // dim))
         if self.coupling is not None:
@@ -242,6 +243,11 @@ class DiscreteProblem(Unknowns):
     def n_nodes(self) -> int:
         """Number of nodes."""
         return self.n_dofs // self.dim
+
+
+#: makes a function compute once for all problems that share matrix, fixed dofs, contact nodes and normals: those that
+#: :meth:`DiscreteProblem.with_step` makes, and other laws. Load, law, prescribed values and slips must not matter to it.
+remembered_of_structure = partial(remembered, of=lambda problem: problem._structure)
 
 
 def _check_row_sums(weights: sparse.csr_array) -> None:
