@@ -61,6 +61,10 @@ class Study:
     that are stale: code or values that the run function reads, the numerical sources of adaptmg, or a version of a
     package changed (see :meth:`status`). Data files and environment variables are not seen; ``depends`` can name them.
 
+    :meth:`~adaptmg.Hierarchy.uniform` and :meth:`~adaptmg.Hierarchy.graded` take over meshes, matrices and transfers
+    from one of the last runs of the same process where domain and options are the same: in a sweep of friction the
+    first run builds them, and takes longer. The results are the same bit for bit.
+
     Parameters
     ----------
     run : function

@@ -91,6 +91,7 @@ def test_few_objects_of_moderate_size_are_kept():
         kept.run = run
         kept.find((key,))
         kept.keep((key,), size, key)
+        assert len(kept.kept) <= kept.MOST
     assert [one.made for one in kept.kept] == [2, 5]
     kept.keep((object(),), 1, 7)
     assert len(kept.kept) == 2
