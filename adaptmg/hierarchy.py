@@ -380,7 +380,7 @@ class Hierarchy:
         if own != asked:
             raise ValueError(f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
                              f"contact on {', '.join(filter(None, own))}: use Hierarchy.graded or from_meshes")
-        levels = [reposed(level, problem, self.problem) for level in self.levels]
+        levels = reposed(self.levels, problem, self.problem)
         assembled = time.perf_counter()
         kept = [touches_alike(a.discrete, b.discrete) for a, b in zip(self.levels, levels, strict=True)]
         for k in range(1, len(levels)):

@@ -172,13 +172,17 @@ class DiscreteProblem(Unknowns):
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a coupling relative ones),
         N and m; slips count from ``slip_reference`` (n_contact, dim), as :meth:`at_contact` has it, m.
         """
-        contact, result = copy.copy(self.contact), copy.copy(self)
+        contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
         values = bounded("fixed_values", fixed_values, (self.n_dofs,))
         values = bounded("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
-        for name, value in (("load", bounded("load", load, (self.n_dofs,))), ("fixed_values", values),
-                            ("contact", contact)):
+        return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact)
+
+    def posing(self, **parts: object) -> DiscreteProblem:
+        """The same with other parts (load, law, ...), which have been checked."""
+        result = copy.copy(self)
+        for name, value in parts.items():
             object.__setattr__(result, name, value)
         return result
 
