@@ -34,6 +34,8 @@ def convert(owner: object, check: Callable[..., object], /, *names: str, **optio
 
 def number(name: str, value: object) -> float:
     """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several numbers are refused."""
+    if type(value) is float and -VAST <= value <= VAST:
+        return value  # most are, and the questions below take time
     plain = hasattr(value, "__float__") and not isinstance(value, (bool, np.bool_, str, bytes, np.ma.MaskedArray))
     try:
         result = float(value) if plain and not np.iscomplexobj(value) else None

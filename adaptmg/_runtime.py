@@ -272,19 +272,26 @@ def made_on_demand(name: str, doc: str, absent: str = "") -> property:
     return property(value, lambda owner, given: owner.__dict__.__setitem__(name, given), doc=doc)
 
 
+class Token:
+    """Stands for what an object and its copies have in common."""
+
+
 Owner = TypeVar("Owner")
 Value = TypeVar("Value")
 
 
-def remembered(function: Callable[[Owner], Value]) -> Callable[[Owner], Value]:
-    """A function that computes once for each object; exceptions are not remembered. For objects that are the same only
-    if they are identical, and never change: hierarchies that grow keep their coarse levels from solve to solve."""
-    known: WeakKeyDictionary[Owner, Value] = WeakKeyDictionary()
+def remembered(function: Callable[[Owner], Value], of: Callable[[Owner], object] = lambda owner: owner
+               ) -> Callable[[Owner], Value]:
+    """A function that computes once for each object, or for ``of`` it; exceptions are not remembered. For objects that
+    are the same only if they are identical, and never change: hierarchies that grow keep their coarse levels from solve
+    to solve."""
+    known: WeakKeyDictionary[object, Value] = WeakKeyDictionary()
 
     @wraps(function)
     def asked(owner: Owner) -> Value:
-        if owner not in known:
-            known[owner] = function(owner)
-        return known[owner]
+        key = of(owner)
+        if key not in known:
+            known[key] = function(owner)
+        return known[key]
 
     return asked

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise, product
 from typing import TYPE_CHECKING, Self, TypeVar
@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg._reuse import plain, recent, same
 from adaptmg._runtime import one_blas_thread
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.problem import DiscreteProblem
@@ -127,8 +128,9 @@ class Hierarchy:
         need_domain(problem)
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))
         _check_total("divisions", [lattice_nodes(problem.domain, n) for n in divisions], problem.dim)
-        meshes = [structured(problem.domain, n, diagonal=diagonal) for n in divisions]
-        return cls._build(problem, meshes, None, f"uniform {', '.join(map(_label, divisions))}", begin)
+        return cls._build(problem, lambda: [structured(problem.domain, n, diagonal=diagonal) for n in divisions], None,
+                          f"uniform {', '.join(map(_label, divisions))}", begin,
+                          key=("uniform", problem.domain, divisions, diagonal))
 
     @classmethod
     def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]],
@@ -155,10 +157,10 @@ class Hierarchy:
 
         domain = meshed_domain(problem)
         sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
-        meshes = [graded(domain, size, problem.pair_boundaries, contact_ratio, mesher=mesher)
-                  for size in sizes]
         origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
-        return cls._build(problem, meshes, transfer, origin, begin, contact_rows)
+        return cls._build(problem, lambda: [graded(domain, size, problem.pair_boundaries, contact_ratio, mesher=mesher)
+                                            for size in sizes], transfer, origin, begin, contact_rows,
+                          key=("graded", domain, sizes, contact_ratio, transfer, contact_rows, mesher))
 
     @classmethod
     def bisected(cls, problem: ContactProblem, coarsest: object, levels: int) -> Hierarchy:
@@ -189,7 +191,7 @@ class Hierarchy:
         if too_far:
             warnings.warn(f"bisected, levels={levels}: {limits}. Take fewer levels, a finer coarsest mesh, or meshes "
                           "that follow the whole solution (am.adapt, Hierarchy.graded)", UserWarning, stacklevel=2)
-        return cls._build(problem, meshes, None, f"bisected {levels} times near contact", begin, limits=limits)
+        return cls._build(problem, lambda: meshes, None, f"bisected {levels} times near contact", begin, limits=limits)
 
     @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[object], transfer: Transfer | None = None,
@@ -213,7 +215,7 @@ class Hierarchy:
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
         alone = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
         arrays = [as_mesh(mesh) for mesh in _each("meshes", (meshes,) if alone else meshes, ())]
-        return cls._build(problem, arrays, transfer, "given meshes", begin, contact_rows)
+        return cls._build(problem, lambda: arrays, transfer, "given meshes", begin, contact_rows)
 
     @classmethod
     def from_prolongations(cls, discrete: DiscreteProblem, prolongations: Sequence[sparse.csr_array]) -> Hierarchy:
@@ -266,8 +268,17 @@ class Hierarchy:
 
     @classmethod
     @one_blas_thread()
-    def _build(cls, problem: ContactProblem, meshes: list[MeshArrays], transfer: Transfer | None, origin: str,
-               begin: float, contact_rows: bool = True, limits: str = "") -> Hierarchy:
+    def _build(cls, problem: ContactProblem, mesh: Callable[[], list[MeshArrays]], transfer: Transfer | None,
+               origin: str, begin: float, contact_rows: bool = True, limits: str = "", key: tuple | None = None
+               ) -> Hierarchy:
+        """The levels on the meshes that ``mesh`` makes; in a study with what an earlier run made under ``key``."""
+        if not plain((problem.contact, problem.supports, problem.material)):
+            key = None
+        elif key is not None:
+            key = *key, problem.contact_boundaries, problem.masters
+            if (known := recent.find(key)) is not None:
+                return known.with_problem(problem)._kept(key)
+        meshes = mesh()
         for message in _overlaps(problem, meshes[-1]):
             warnings.warn(message, UserWarning, stacklevel=4)
         checks.flag("contact_rows", contact_rows)
@@ -279,7 +290,12 @@ class Hierarchy:
         for k in range(1, len(levels)):
             levels[k] = joined(levels[k - 1], levels[k], builder, contact_rows)
         timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
-        return cls(tuple(levels), problem, origin, timings, limits, transfer, contact_rows)
+        return cls(tuple(levels), problem, origin, timings, limits, transfer, contact_rows)._kept(key)
+
+    def _kept(self, key: tuple | None) -> Self:
+        if key is not None:
+            recent.keep(key, sum(level.n_nodes for level in self.levels), self)
+        return self
 
     def __len__(self) -> int:
         return len(self.levels)
@@ -353,8 +369,6 @@ class Hierarchy:
         >>> for friction in (0.2, 0.4):
         ...     result = am.solve(grids.with_problem(am.cases.greco_bar(law=am.Coulomb(friction))), am.Multigrid())
         """
-        from adaptmg.discrete.discretise import same
-
         begin = time.perf_counter()
         self._need_meshes("with_problem")
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
@@ -366,7 +380,7 @@ class Hierarchy:
         if own != asked:
             raise ValueError(f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
                              f"contact on {', '.join(filter(None, own))}: use Hierarchy.graded or from_meshes")
-        levels = [reposed(level, problem, self.problem) for level in self.levels]
+        levels = reposed(self.levels, problem, self.problem)
         assembled = time.perf_counter()
         kept = [touches_alike(a.discrete, b.discrete) for a, b in zip(self.levels, levels, strict=True)]
         for k in range(1, len(levels)):

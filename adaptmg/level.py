@@ -144,11 +144,12 @@ def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
     return Level(discretise(problem, mesh), mesh)
 
 
-def reposed(level: Level, problem: ContactProblem, before: ContactProblem) -> Level:
-    """The level with another problem; its prolongation is that from a level with the contact that there was."""
-    from adaptmg.discrete.discretise import rediscretise
+def reposed(levels: Sequence[Level], problem: ContactProblem, before: ContactProblem) -> list[Level]:
+    """The levels with another problem; their prolongations are those between levels with the contact that there was."""
+    from adaptmg.discrete.discretise import changed_parts, rediscretise
 
-    return level.posing(rediscretise(problem, before, level.mesh, level.discrete))
+    changed = changed_parts(problem, before)
+    return [level.posing(rediscretise(problem, level.mesh, level.discrete, changed)) for level in levels]
 
 
 def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:

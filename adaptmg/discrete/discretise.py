@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -32,8 +32,9 @@ from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._reuse import plain, same
 from adaptmg._runtime import OnDemand, one_blas_thread
-from adaptmg.discrete.contact_nodes import check_bounds, check_size
+from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.exchange import ScaledLaw, find_carriers
 from adaptmg.discrete.facets import area_vectors, fixed_dofs, named_facets, shape_integrals, supported_nodes
@@ -102,47 +103,37 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     return DiscreteProblem.coupled(**parts, weights=weights)
 
 
-def rediscretise(problem: ContactProblem, before: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
+def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
+    """Names of the parts that may have other values than ``before``; functions may return others."""
+    def alike(name: str) -> bool:
+        part = getattr(problem, name)
+        return same(part, getattr(before, name)) and (name != "loads" or plain(part))
+    return frozenset(name for name in ("material", "supports", "contact", "loads") if not alike(name))
+
+
+def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem, changed: frozenset[str]
                  ) -> DiscreteProblem:
-    """As :func:`discretise`; ``old``, that of the problem ``before``, gives what only loads and law leave unchanged."""
+    """As :func:`discretise`; ``old``, that of a problem that differs in the parts ``changed`` and in the law, gives what
+    only loads and law leave unchanged."""
     posed = old.contact if old.exchange is None else old.exchange.contact
-    parts = ("material", "supports", "contact")
-    if not all(same(getattr(problem, part), getattr(before, part)) for part in parts) or posed.slip_reference.any():
+    if changed - {"loads"} or posed.slip_reference.any():
         return discretise(problem, mesh)
     problem.check_boundaries(mesh.boundaries)
     problem.check_bodies(mesh.bodies)
     law = problem.law.at_nodes(mesh.points[posed.nodes], posed.weights)
     check_bounds(law, len(posed))
-    # what slave nodes are exchanged for depends on where friction acts
-    acts = [np.maximum(*one.bounds(len(posed))) > 0 for one in (law, old.law)]
-    if old.coupling is not None and not np.array_equal(*acts):
-        return discretise(problem, mesh)
-    load = old.load
-    if not same(problem.loads, before.loads):
+    if old.coupling is not None:
+        # what slave nodes are exchanged for depends on where friction acts
+        acts = [np.maximum(*one.bounds(len(posed))) > 0 for one in (law, old.law)]
+        if not np.array_equal(*acts):
+            return discretise(problem, mesh)
+    parts = {"law": law if old.exchange is None else ScaledLaw(law, np.abs(old.exchange.sigma)),
+             "name": f"{problem.name}, {mesh.n_nodes} nodes"}
+    if changed:
         load = old.relative_forces(load_vector(mesh, problem.loads, body_materials(mesh, problem.material)))
         check_size("load", np.abs(load).max())
-    result = old.with_step(load, old.fixed_values, old.contact.slip_reference)
-    law = law if old.exchange is None else ScaledLaw(law, np.abs(old.exchange.sigma))
-    for name, value in (("law", law), ("name", f"{problem.name}, {mesh.n_nodes} nodes")):
-        object.__setattr__(result, name, value)
-    return result
-
-
-def same(a: object, b: object) -> bool:
-    """Whether two parts of problems have the same values."""
-    if a is b:
-        return True
-    if type(a) is not type(b):
-        return False
-    if isinstance(a, np.ndarray):
-        return np.array_equal(a, b)
-    if is_dataclass(a):
-        return all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
-    if isinstance(a, tuple):
-        return len(a) == len(b) and all(map(same, a, b))
-    if isinstance(a, Mapping):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    return bool(a == b)
+        parts["load"] = bounded("load", load, (old.n_dofs,))
+    return old.posing(**parts)
 
 
 def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) -> np.ndarray:

@@ -25,7 +25,7 @@ from scipy import sparse
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._check_arrays import indices_frozen
-from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._runtime import OnDemand, Token, made_on_demand, remembered
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     ContactNodes,
@@ -172,13 +172,17 @@ class DiscreteProblem(Unknowns):
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a coupling relative ones),
         N and m; slips count from ``slip_reference`` (n_contact, dim), as :meth:`at_contact` has it, m.
         """
-        contact, result = copy.copy(self.contact), copy.copy(self)
+        contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
         values = bounded("fixed_values", fixed_values, (self.n_dofs,))
         values = bounded("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
-        for name, value in (("load", bounded("load", load, (self.n_dofs,))), ("fixed_values", values),
-                            ("contact", contact)):
+        return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact)
+
+    def posing(self, **parts: object) -> DiscreteProblem:
+        """The same with other parts (load, law, ...), which have been checked."""
+        result = copy.copy(self)
+        for name, value in parts.items():
             object.__setattr__(result, name, value)
         return result
 
@@ -214,6 +218,7 @@ class DiscreteProblem(Unknowns):
         arrays["near_nullspace"] = modes
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "_structure", Token())
         if self.bodies is not None:
             object.__setattr__(self, "bodies", checked_bodies(self.bodies, n // dim))
         if self.coupling is not None:
@@ -242,6 +247,11 @@ class DiscreteProblem(Unknowns):
     def n_nodes(self) -> int:
         """Number of nodes."""
         return self.n_dofs // self.dim
+
+
+#: makes a function compute once for all problems that share matrix, fixed dofs, contact nodes and normals: those that
+#: :meth:`DiscreteProblem.with_step` makes, and other laws. Load, law, prescribed values and slips must not matter to it.
+remembered_of_structure = partial(remembered, of=lambda problem: problem._structure)
 
 
 def _check_row_sums(weights: sparse.csr_array) -> None:

@@ -14,8 +14,8 @@ from scipy import sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from adaptmg._runtime import kernel, remembered
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg._runtime import kernel
+from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, times, write
 
 #: nodes of an aggregate and its depth in the graph, by dimension; beyond the number of nodes in the
@@ -186,7 +186,7 @@ class Aggregates:
         self.entries = (below * (count * modes) + np.minimum(row, column)).reshape(-1)
 
 
-aggregates_of = remembered(Aggregates)
+aggregates_of = remembered_of_structure(Aggregates)
 
 
 @in_loop

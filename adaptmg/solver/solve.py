@@ -184,7 +184,7 @@ def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:
 
 def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) -> Outcome:
     """What a solver, perhaps user-defined, returns: checked, and DIVERGED where its numbers are not finite."""
-    name = f"solver: the run of {checks.shown(solver)} must return an Outcome"
+    name = f"solver: the run of {type(solver).__name__} must return an Outcome"
     if not isinstance(outcome, Outcome):
         raise TypeError(f"{name}, got {checks.described(outcome)}")
     displacement = outcome.displacement

@@ -27,7 +27,7 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg._runtime import remembered
 from adaptmg.discrete.coordinates import frames_of
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.advice import advise
@@ -45,18 +45,23 @@ _LIMIT = 1e6  # Tresca limits beyond this multiple of the load count as this: ke
 @remembered
 def check_statics(problem: DiscreteProblem) -> None:
     """Raise ValueError if a rigid motion is left free by the supports and contact cannot hold it."""
+    for nodes, motions, several in _free_parts(problem):
+        _check_body(_Body(problem, nodes, motions, several))
+
+
+@remembered_of_structure
+def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, bool]]:
+    """Nodes and free motions of the connected parts that have any, and whether there are several parts."""
     if problem.near_nullspace is None:
-        return
+        return []
     graph = sparse.csr_array((np.ones(len(problem.matrix.indices), dtype=np.int8), problem.matrix.indices,
                               problem.matrix.indptr), shape=(problem.n_nodes, problem.n_nodes))
     n_bodies, body_of = connected_components(graph, directed=True, connection="weak")
     stiff = problem.matrix @ problem.near_nullspace
     bodies = np.split(np.argsort(body_of, kind="stable"), np.cumsum(np.bincount(body_of))[:-1])
     # a single node is not an elastic body: only its diagonal block can hold it
-    for nodes in (nodes for nodes in bodies if len(nodes) > 1):
-        motions = _free_motions(problem, stiff, nodes)
-        if motions.shape[1]:
-            _check_body(_Body(problem, nodes, motions, several=n_bodies > 1))
+    parts = [(nodes, _free_motions(problem, stiff, nodes), n_bodies > 1) for nodes in bodies if len(nodes) > 1]
+    return [part for part in parts if part[1].shape[1]]
 
 
 def check_statics_of(grids: Hierarchy, *, coarse_first: bool = True) -> None:
@@ -320,7 +325,7 @@ def _vector(values: np.ndarray, size: float) -> str:
 _SMALL, _SMALL_CONTACT = 1500, 200
 
 
-@remembered
+@remembered_of_structure
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     """The critical coefficient of each contact node if it touches alone."""
     local = local_system(problem)

@@ -24,6 +24,7 @@ from functools import cache
 from pathlib import Path
 
 from adaptmg._fingerprint import Fingerprint, environment, fingerprint
+from adaptmg._reuse import recent, taken_over
 from adaptmg._text import printable
 from adaptmg.study.kept_files import Packed, pack
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, plain_results
@@ -64,8 +65,11 @@ Execute = Callable[[Task, Sequence[Point]], Iterator[list[tuple[Point, Finished]
 
 def in_turn(task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, Finished]]]:
     """Run after run, in this process."""
-    for point in points:
-        yield [(point, compute(task.function, point))]
+    try:
+        for point in points:
+            yield [(point, compute(task.function, point))]
+    finally:
+        recent.kept.clear()
 
 
 def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
@@ -76,7 +80,8 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
     begin = time.perf_counter()
     seconds, outcome = 0.0, Finished()
     try:
-        returned = function(**point)
+        with taken_over():
+            returned = function(**point)
         seconds = time.perf_counter() - begin
         outcome = _sorted_out(returned, point)
     except BaseException as error:  # of sys.exit, asyncio, or a class of the user
