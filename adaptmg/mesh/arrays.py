@@ -7,7 +7,7 @@ is identified by its sorted nodes :math:`a < b (< c)`, packed into one integer :
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -195,6 +195,19 @@ def trusted(mesh: MeshArrays, source: ngsolve.Mesh | OnDemand | None, sound: boo
     result.__dict__.update(mesh.__dict__)
     result.__dict__.update(source=source, sound=sound)
     return result
+
+
+def swept(mesh: MeshArrays) -> MeshArrays:
+    """The same mesh with its nodes in the order of the longest side of its bounding box, elements in that of their
+    first nodes, without source. Gauss-Seidel in the order that refinement leaves behind, where new nodes come last,
+    takes a fifth more cycles."""
+    order = np.argsort(mesh.points[:, np.argmax(np.ptp(mesh.points, axis=0))], kind="stable")
+    number = np.empty(len(order), dtype=np.int32)
+    number[order] = np.arange(len(order), dtype=np.int32)
+    elements = number[mesh.elements]
+    rows = np.argsort(np.min(list(elements.T), axis=0), kind="stable")
+    return trusted(replace(mesh, points=mesh.points[order], elements=elements[rows], facets=number[mesh.facets],
+                           element_body=mesh.element_body[rows], source=None), None, mesh.sound)
 
 
 def sound_by_construction(mesh: MeshArrays) -> MeshArrays:

@@ -19,7 +19,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._runtime import kernel
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised, sound_by_construction
+from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised, sound_by_construction, swept
 from adaptmg.mesh.domains import BOX_SIDES, boundary_measures, extent, plane_measures
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
 from adaptmg.mesh.soundness import check_mesh, with_source
@@ -238,7 +238,7 @@ def onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
 
 def finished(domain: Domain, mesh: MeshArrays) -> MeshArrays:
     """The mesh with the names of the domain's boundaries in place of edge numbers, checked, with source."""
-    check_mesh(mesh)
+    mesh = swept(check_mesh(mesh))
     if not isinstance(domain, Outline):
         return with_source(mesh)
     names = tuple(dict.fromkeys(domain.boundaries))

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, facet_table, normalised
+from adaptmg.mesh.arrays import MeshArrays, facet_table, normalised, swept
 from adaptmg.mesh.domains import extent, require_simple
 from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, meshing_limit, netgen
 from adaptmg.mesh.netgen_plane import (
@@ -313,7 +313,7 @@ def ordered(domain: SolidDomain | Box, mesh: MeshArrays) -> MeshArrays:
     """The checked mesh with its boundaries in the order of the domain, with source."""
     order = tuple(name for name in domain.boundaries if name in mesh.boundaries)
     labels = np.array([order.index(name) for name in mesh.boundaries])[mesh.facet_labels]
-    return with_source(replace(mesh, facet_labels=labels, boundaries=order, source=None))
+    return with_source(swept(replace(mesh, facet_labels=labels, boundaries=order)))
 
 
 def check_volume(mesh: MeshArrays, volume: float) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen
 from adaptmg.mesh.netgen_solid import Shape, SolidSizes, shape_mesh
 from adaptmg.mesh.soundness import with_source
@@ -71,7 +71,7 @@ def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float]
         for body, shape in step_shapes(worker, domain, contents):
             own = {face: boundary_sizes[f"{body}.{face}"] for face in boundaries_of(body, list(boundary_sizes or {}))}
             sizes = SolidSizes(largest[body], own, grading, size_function, curvature)
-            meshes[body] = with_source(shape_mesh(worker, shape, sizes, domain, _CURVED))
+            meshes[body] = with_source(swept(shape_mesh(worker, shape, sizes, domain, _CURVED)))
     return merged(meshes)
 
 
