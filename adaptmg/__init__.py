@@ -26,7 +26,9 @@ Sweep       Study; designs and tables in study
 
 from __future__ import annotations
 
+import functools
 import importlib
+import inspect
 import sys
 from typing import Any
 
@@ -80,9 +82,28 @@ _HOME = {name: module for module, names in _WHERE.items() for name in names}
 _NAMES = sorted([*_HOME, *_SUBMODULES, "__version__"])
 
 
+def _naming_arguments(kind: Any) -> None:
+    """Make calls that a class refuses name its arguments, which Python does not do."""
+    made = kind.__init__
+
+    @functools.wraps(made)
+    def __init__(self: object, *arguments: object, **named: object) -> None:
+        try:
+            made(self, *arguments, **named)
+        except TypeError as error:
+            if error.__traceback__ is not None and error.__traceback__.tb_next is None:  # not from within the call
+                taken = str(inspect.signature(kind)).replace("'", "").removesuffix(" -> None")
+                error.add_note(f"am.{kind.__name__}{taken}")
+            raise
+
+    kind.__init__ = __init__
+
+
 def __getattr__(name: str) -> Any:
     if name in _HOME:
         value = getattr(importlib.import_module(_HOME[name]), name)
+        if "__dataclass_fields__" in vars(value):
+            _naming_arguments(value)
         globals()[name] = value
         return value
     if name in _SUBMODULES:

@@ -133,8 +133,8 @@ class Hierarchy:
                           key=("uniform", problem.domain, divisions, diagonal))
 
     @classmethod
-    def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]],
-               contact_ratio: float | Mapping[str, float] = 1.0,
+    def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]] | None = None,
+               contact_ratio: float | Mapping[str, float] | None = None,
                transfer: Transfer | None = None, contact_rows: bool = True, mesher: str = "bisection") -> Hierarchy:
         """Independent (non-nested) meshes, graded towards the contact boundaries.
 
@@ -142,10 +142,12 @@ class Hierarchy:
         ----------
         problem : ContactProblem
             With a domain.
-        sizes : sequence of float or mapping
-            Element size away from contact, coarse to fine, m; of several bodies also body name -> size.
-        contact_ratio : float or mapping
-            Size away from contact over size at contact, >= 1; of several bodies also body name -> ratio.
+        sizes : sequence of float or mapping, optional
+            Element size away from contact, coarse to fine, m; of several bodies also body name -> size. Default: a
+            quarter, an eighth and a sixteenth (3D: a third and a sixth) of the bodies' mean extent.
+        contact_ratio : float or mapping, optional
+            Size away from contact over size at contact, >= 1; of several bodies also body name -> ratio. Default 1;
+            without ``sizes`` in the plane such that the shortest contact boundary has 64 elements.
         transfer, contact_rows
             See :meth:`from_meshes`.
         mesher : {"bisection", "netgen"}
@@ -154,8 +156,12 @@ class Hierarchy:
         """
         begin = time.perf_counter()
         from adaptmg.mesh import graded
+        from adaptmg.mesh.grading import sensible_sizes
 
-        domain = meshed_domain(problem)
+        domain, ratio = meshed_domain(problem), 1.0
+        if sizes is None:
+            sizes, ratio = sensible_sizes(domain, problem.pair_boundaries)
+        contact_ratio = ratio if contact_ratio is None else contact_ratio
         sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
         origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
         return cls._build(problem, lambda: [graded(domain, size, problem.pair_boundaries, contact_ratio, mesher=mesher)

@@ -118,3 +118,19 @@ def test_broken_lil_matrices_and_bools_among_numbers_are_refused():
         check_arrays.sparse_matrix("matrix", matrix)
     with pytest.raises(TypeError, match="gaps must be an array of real numbers"):
         check_arrays.array("gaps", [0.0, True], (2,))
+
+
+@pytest.mark.parametrize("call, takes", [
+    (lambda: am.Rectangle(0.1, 0.05), "am.Rectangle(*, width: float, height: float"),
+    (lambda: am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), edges=("a", "b", "c")), "boundaries: tuple[str, ...])"),
+    (lambda: am.Coulomb(), "am.Coulomb(friction: ")])
+def test_a_refused_call_shows_the_arguments(call, takes):
+    with pytest.raises(TypeError) as refused:
+        call()
+    assert takes in refused.value.__notes__[0]
+
+
+def test_refused_values_keep_their_own_message():
+    with pytest.raises(TypeError, match="friction must be") as refused:
+        am.Coulomb("rough")
+    assert not hasattr(refused.value, "__notes__")

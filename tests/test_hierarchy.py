@@ -51,6 +51,15 @@ def test_prolongations_reproduce_affine_fields(problem, make):
             assert len(fine.discrete.contact) > 1.5 * len(coarse.discrete.contact)
 
 
+def test_sizes_have_defaults_that_follow_bodies_and_contact():
+    bar = am.Hierarchy.graded(am.cases.greco_bar())
+    assert [level.n_nodes for level in bar] == sorted(level.n_nodes for level in bar) and len(bar) == 3
+    assert 32 <= len(bar.finest.discrete.contact) <= 128
+    assert bar.finest.mesh.element_sizes.max() == pytest.approx(40e-3 / 16, rel=0.5)
+    plain = am.Hierarchy.graded(am.cases.greco_bar(), contact_ratio=1)
+    assert len(plain.finest.discrete.contact) < len(bar.finest.discrete.contact) / 2
+
+
 def test_paper_grids(problem):
     grids = am.Hierarchy.uniform(problem, divisions=(4, 8, 16, 32))
     assert [row["nodes"] for row in grids.table()] == [25, 81, 289, 1089]

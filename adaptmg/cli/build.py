@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg.cases import get
 from adaptmg.estimate.step import Limits
-from adaptmg.mesh.grading import measures
+from adaptmg.mesh.grading import sensible_sizes
 from adaptmg.problem.load_path import names_in_path
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.solver.record import Solver
@@ -60,9 +59,8 @@ PURPOSE = {
     "design": "which points",
     "vary": "settings and their values, \"solver.pre\" = [1, 2, 4]; samples: their ranges [low, high]",
 }
-#: grids of rectangles and boxes; elements across other bodies, and along a contact boundary of the finest mesh
+#: grids of rectangles and boxes
 _DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
-_ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, {2: 64, 3: 12}
 #: nodes of an adaptive loop of the command line without a limit
 _NODES = 3000
 #: arguments that settings cannot give
@@ -448,11 +446,7 @@ def sensible_grids(task: am.ContactProblem) -> Arguments:
     """Return the arguments of a hierarchy for a problem: they follow the size of bodies and of contact boundaries."""
     if _are_blocks(task):
         return {"divisions": _DIVISIONS[task.dim]}
-    volumes, lengths = measures(task.domain)
-    across = (sum(volumes) / len(volumes))**(1 / task.dim)
-    sizes = tuple(float(f"{across / count:.2g}") for count in _ACROSS[task.dim])
-    shortest = min((lengths[name] for name in task.pair_boundaries if name in lengths), default=math.inf)
-    return {"sizes": sizes, "contact_ratio": max(1.0, float(math.ceil(_ALONG[task.dim] * sizes[-1] / shortest)))}
+    return dict(zip(("sizes", "contact_ratio"), sensible_sizes(task.domain, task.pair_boundaries), strict=True))
 
 
 def grids(task: am.ContactProblem, given: Arguments) -> am.Hierarchy:

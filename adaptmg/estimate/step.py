@@ -70,8 +70,8 @@ class Step:
         All load steps, where there is a load path.
     settled : bool or None
         Of a goal: whether its signed estimates have the sign of those of the mesh before, and are no smaller than the
-        change of the corrected values since then; False on the first mesh. Unless they are settled a question mark is
-        printed before the estimate, and the loop does not end by ``tolerance``. None for energy norms.
+        change of the corrected values since then; False on the first mesh. While they are not, the printed step says
+        "not settled", and the loop does not end by ``tolerance``. None for energy norms.
     outcome : str
         Why the loop stopped after this step; empty as long as it has not.
 
@@ -110,7 +110,7 @@ class Step:
         return float(sum(self.timings.values()))
 
     def __repr__(self) -> str:
-        doubtful = " (?)" if self.settled is False else ""
+        doubtful = " (not settled)" if self.settled is False else ""
         text = (f"step {self.number:>2}: {self.nodes:>7} nodes, {len(self.hierarchy):>2} levels, estimate "
                 f"{self.estimate.relative:>7.3%}{doubtful}, {self.result.cycles:>3} cycles, {self.work_units:>6.1f} "
                 f"work units ({self.total_work_units:.1f} in all), {self.seconds:.3g} s ({self.total_seconds:.3g} s "
@@ -136,11 +136,10 @@ class Step:
     @property
     def row(self) -> str:
         """A line of the table under ``HEADER``."""
-        estimate = f"{'?' if self.settled is False else ''}{self.estimate.relative:.3%}"
         line = (f"{self.number:>4} {self.nodes:>8} {len(self.hierarchy):>6} {len(self.result.contact):>7} "
-                f"{estimate:>9} {self.result.cycles:>6} {self.work_units:>6.1f} "
+                f"{self.estimate.relative:>9.3%} {self.result.cycles:>6} {self.work_units:>6.1f} "
                 f"{self.total_work_units:>6.1f} {self.seconds:>8.3f} {self.total_seconds:>8.3f}")
-        return f"{line}  {self.outcome}" if self.outcome else line
+        return "  ".join([line, *["not settled"] * (self.settled is False), *filter(None, [self.outcome])])
 
 
 #: share of the expected estimate that the algebraic error may have

@@ -57,6 +57,8 @@ _FURTHER, _FACTOR = 8.0, 0.85
 #: the least mean shape of its elements (long ones across thin parts keep theirs when they are refined);
 #: in 3D not powers of two, which would refine levels whose sizes are halved from one draft
 _FACTORS, _LEAST, _SHAPES = {2: (8, 4, 1), 3: (4, 1.8, 1)}, {2: 300, 3: 30}, {2: 0.75, 3: 0.55}
+#: elements across a body by default, coarse to fine, and along a plane contact boundary of the finest mesh
+_ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, 64
 # by how much coarser still the mesh is at whose nodes and centroids Netgen is given the sizes of a draft
 _FIRST = 2
 # growth of sizes in a draft at most: tetrahedra get flat where they grow faster
@@ -285,6 +287,15 @@ def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArra
         refuse_too_many(expected_nodes(mesh, sizes), domain)
         mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
     raise unreachable(domain, large)
+
+
+def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[float, ...], float]:
+    """Sizes, coarse to fine, m, that follow the bodies, and a contact ratio by the shortest of some boundaries."""
+    volumes, lengths = measures(domain)
+    across = (sum(volumes) / len(volumes))**(1 / domain.dim)
+    sizes = tuple(float(f"{across / count:.2g}") for count in _ACROSS[domain.dim])
+    shortest = min((lengths[name] for name in boundaries if name in lengths), default=math.inf)
+    return sizes, max(1.0, float(math.ceil(_ALONG * sizes[-1] / shortest)))
 
 
 def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:

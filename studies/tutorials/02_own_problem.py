@@ -30,5 +30,5 @@ print(result.resultant("bottom").force)                               # N/m
 am.plot.contact(result)
 
 # %%
-# **Next:** ``am.Outline`` makes shapes with arcs, ``am.GapFunction`` an obstacle that is not flat, ``am.Spring`` an
-# elastic support. **It depends on** the bar in ten lines.
+# **Next:** ``am.Polygon`` and ``am.Outline`` (with arcs) make other shapes, ``am.GapFunction`` an obstacle that is not
+# flat, ``am.Spring`` an elastic support. **It depends on** the bar in ten lines.
