@@ -39,10 +39,10 @@ _LOG = logging.getLogger(__name__)
 
 def kernel(function: Callable | None = None, *, cache: bool = True, **options: object) -> Any:
     """Compile a function that Python calls; ``options`` are those of ``numba.njit``. Division by zero is as in numpy: a
-    test before each division would take time, here and in the compilation."""
+    test before each division would take time, here and in the compilation. Other threads of Python run meanwhile."""
     if function is None:
         return partial(kernel, cache=cache, **options)
-    compiled = numba.njit(**{"no_cfunc_wrapper": True, "error_model": "numpy"} | options)(function)
+    compiled = numba.njit(**{"no_cfunc_wrapper": True, "error_model": "numpy", "nogil": True} | options)(function)
     if cache and isinstance(compiled, CPUDispatcher):  # NUMBA_DISABLE_JIT compiles nothing
         compiled._cache = _cache_of(function)
     return compiled

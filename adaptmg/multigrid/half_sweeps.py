@@ -3,11 +3,12 @@ r"""Numba kernels of the linear cycle: Gauss-Seidel in half passes on a matrix s
 For :math:`(L + D + U)\,u = f`, stored as :class:`~adaptmg.multigrid.split_matrix.SplitMatrix`, not necessarily
 symmetric. From zero: forward (L), keeping :math:`s = f - L u`; backward (U), keeping the change :math:`\delta`; then
 the residual is :math:`-L\delta` (L). After the coarse correction: forward (L and U), keeping s; backward (U). Two
-symmetric sweeps and a residual in three passes.
+symmetric sweeps and a residual in three passes. The sweeps go over places ``first`` to ``last`` of ``order``, see
+:class:`~adaptmg._threads.Strips`, the other kernels over rows.
 
 Restriction scatters, prolongation is fused with what follows it, both from the same arrays. A nodal prolongation P acts
 on every component, one of dofs as of nodes with one component: the length of ``zero`` (see
-:mod:`adaptmg.smoother.blocks`) says which. Arguments come in the order ``zero``; indptr, indices, data of a half;
+:mod:`adaptmg.smoother.blocks`) says which. Arguments then come in the order ``zero``; indptr, indices, data of a half;
 ``inverse`` of the diagonal blocks.
 """
 
@@ -24,11 +25,11 @@ LINES = 2
 
 
 @kernel
-def forward_from_zero(zero, l_indptr, l_indices, lower, inverse, load, u, kept):
+def forward_from_zero(first, last, order, zero, l_indptr, l_indices, lower, inverse, load, u, kept):
     """u = (L + D)^-1 f, kept = f - L u."""
     dim = np.uint64(len(zero))
-    for node in range(len(l_indptr) - 1):
-        i = np.uint64(node)
+    for place in range(first, last):
+        i = np.uint64(order[place])
         at = dim * i
         r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
         write(kept, at, r)
@@ -36,20 +37,20 @@ def forward_from_zero(zero, l_indptr, l_indices, lower, inverse, load, u, kept):
 
 
 @kernel
-def forward_residual(zero, u_indptr, u_indices, upper, u, result):
+def forward_residual(first, last, order, zero, u_indptr, u_indices, upper, u, result):
     """The residual after :func:`forward_from_zero`: minus U times u."""
     dim = np.uint64(len(zero))
-    for node in range(len(u_indptr) - 1):
-        i = np.uint64(node)
+    for place in range(first, last):
+        i = np.uint64(order[place])
         write(result, dim * i, minus_row(i, 1, u_indptr, u_indices, upper, u, zero, LINES))
 
 
 @kernel
-def backward_change(zero, u_indptr, u_indices, upper, inverse, u, kept):
+def backward_change(first, last, order, zero, u_indptr, u_indices, upper, inverse, u, kept):
     """Backward sweep that takes f - L u from ``kept`` and leaves the change of u there."""
     dim = np.uint64(len(zero))
-    for node in range(len(u_indptr) - 2, -1, -1):
-        i = np.uint64(node)
+    for place in range(last - 1, first - 1, -1):
+        i = np.uint64(order[place])
         at = dim * i
         r = minus_row(i, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
         new = times(inverse, dim * at, r)
@@ -58,20 +59,21 @@ def backward_change(zero, u_indptr, u_indices, upper, inverse, u, kept):
 
 
 @kernel
-def residual(zero, l_indptr, l_indices, lower, kept):
+def residual(first, last, order, zero, l_indptr, l_indices, lower, kept):
     """The residual after :func:`backward_change`, minus L times the change, in place of the change."""
     dim = np.uint64(len(zero))
-    for node in range(len(l_indptr) - 2, -1, -1):
-        i = np.uint64(node)
+    for place in range(last - 1, first - 1, -1):
+        i = np.uint64(order[place])
         write(kept, dim * i, minus_row(i, -1, l_indptr, l_indices, lower, kept, zero, LINES))
 
 
 @kernel
-def forward_full(zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u, kept):
+def forward_full(first, last, order, zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u,
+                 kept):
     """Forward sweep from any u, kept = f - L u."""
     dim = np.uint64(len(zero))
-    for node in range(len(l_indptr) - 1):
-        i = np.uint64(node)
+    for place in range(first, last):
+        i = np.uint64(order[place])
         at = dim * i
         r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
         write(kept, at, r)
@@ -80,22 +82,22 @@ def forward_full(zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, i
 
 
 @kernel
-def backward_kept(zero, u_indptr, u_indices, upper, inverse, u, kept):
+def backward_kept(first, last, order, zero, u_indptr, u_indices, upper, inverse, u, kept):
     """Backward sweep that takes f - L u from ``kept``."""
     dim = np.uint64(len(zero))
-    for node in range(len(u_indptr) - 2, -1, -1):
-        i = np.uint64(node)
+    for place in range(last - 1, first - 1, -1):
+        i = np.uint64(order[place])
         at = dim * i
         r = minus_row(i, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
         write(u, at, times(inverse, dim * at, r))
 
 
 @kernel
-def backward_full(zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u):
+def backward_full(first, last, order, zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u):
     """Backward sweep from any u."""
     dim = np.uint64(len(zero))
-    for node in range(len(l_indptr) - 2, -1, -1):
-        i = np.uint64(node)
+    for place in range(last - 1, first - 1, -1):
+        i = np.uint64(order[place])
         at = dim * i
         r = minus_row(i, -1, u_indptr, u_indices, upper, u, read(load, at, zero), LINES)
         r = minus_row(i, -1, l_indptr, l_indices, lower, u, r, LINES)
@@ -113,31 +115,31 @@ def zero_at(vector, positions):
 
 
 @kernel
-def dot(a, b):
+def dot(first, last, a, b):
     """a'b, not through BLAS: its threads cost more than they gain."""
     total = 0.0
-    for at in range(len(a)):
+    for at in range(first, last):
         total += a[at] * b[at]
     return total
 
 
 @kernel
-def stiff_squares(dim, inverse, u):
+def stiff_squares(first, last, dim, inverse, u):
     """|D u|^2, D one over the diagonals of the inverse blocks, 0 where these are not positive."""
     total = 0.0
-    for at in range(len(u)):
-        i, k = at // dim, at % dim
-        diagonal = inverse[(i * dim + k) * dim + k]
-        if diagonal > 0.0:
-            total += ((1.0 / diagonal) * u[at]) ** 2
+    for i in range(first, last):
+        for k in range(dim):
+            diagonal = inverse[(i * dim + k) * dim + k]
+            if diagonal > 0.0:
+                total += ((1.0 / diagonal) * u[dim * i + k]) ** 2
     return total
 
 
 @kernel
-def product_of_change(r, new, old):
+def product_of_change(first, last, r, new, old):
     """r'(new - old)."""
     total = 0.0
-    for at in range(len(r)):
+    for at in range(first, last):
         total += r[at] * (new[at] - old[at])
     return total
 
@@ -174,20 +176,20 @@ def _plus_prolonged(i, indptr, indices, weights, coarse, e):
 
 
 @kernel
-def add_prolonged(zero, indptr, indices, weights, coarse, u):
+def add_prolonged(first, last, zero, indptr, indices, weights, coarse, u):
     """u += P coarse."""
-    for node in range(len(indptr) - 1):
+    for node in range(first, last):
         i = np.uint64(node)
         at = np.uint64(len(zero)) * i
         write(u, at, add(read(u, at, zero), _plus_prolonged(i, indptr, indices, weights, coarse, zero)))
 
 
 @kernel
-def combine(zero, indptr, indices, weights, coarse, ring, places, alpha, to):
+def combine(begin, end, zero, indptr, indices, weights, coarse, ring, places, alpha, to):
     """u + sum of alpha_k (u_k - u) + P coarse, u and four u_k at ``places`` of ``ring``, written to place ``to``."""
     now, first, second = np.uint64(places[0]), np.uint64(places[1]), np.uint64(places[2])
-    third, fourth, end = np.uint64(places[3]), np.uint64(places[4]), np.uint64(to)
-    for node in range(len(indptr) - 1):
+    third, fourth, target = np.uint64(places[3]), np.uint64(places[4]), np.uint64(to)
+    for node in range(begin, end):
         i = np.uint64(node)
         at = np.uint64(len(zero)) * i
         u = read(ring, now + at, zero)
@@ -195,4 +197,4 @@ def combine(zero, indptr, indices, weights, coarse, ring, places, alpha, to):
         e = add(e, scale(alpha[1], subtract(read(ring, second + at, zero), u)))
         e = add(e, scale(alpha[2], subtract(read(ring, third + at, zero), u)))
         e = add(u, add(e, scale(alpha[3], subtract(read(ring, fourth + at, zero), u))))
-        write(ring, end + at, _plus_prolonged(i, indptr, indices, weights, coarse, e))
+        write(ring, target + at, _plus_prolonged(i, indptr, indices, weights, coarse, e))

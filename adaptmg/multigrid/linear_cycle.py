@@ -16,6 +16,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._threads import in_parts
 from adaptmg.multigrid import half_sweeps
 from adaptmg.multigrid.corrections import Recorder
 from adaptmg.multigrid.half_sweeps import add_prolonged, restrict, zero_at
@@ -78,7 +79,8 @@ class LinearCycle:
         zero_at(below.load, self.levels[number - 1].fixed)
         self.recorder.visit(number, "restrict")
         correction = self.solve(number - 1)
-        add_prolonged(components, nodal.indptr, nodal.indices, nodal.data, correction, v.solution)
+        in_parts(add_prolonged, nodal.shape[0], 2 * level.n_dofs, components, nodal.indptr, nodal.indices, nodal.data,
+                 correction, v.solution)
         zero_at(v.solution, level.fixed)
         self.recorder.visit(number, "prolong")
         passes += self._after(number, v)
@@ -88,31 +90,34 @@ class LinearCycle:
 
     def _before(self, number: int, v: LevelVectors) -> float:
         """Smooth from zero; the residual is left in ``kept``. Returns the passes, those of the residual included."""
-        level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
+        level, sweeps = self.levels[number], self.sweeps[number]
         if self._custom:
             v.solution[:] = 0.0
             passes = self._custom[number].smooth(v.load, v.solution)
             v.kept[:] = v.load - self._custom[number].matrix @ v.solution
             return passes + 1
-        half_sweeps.forward_from_zero(zero, *level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
+        level.sweep(half_sweeps.forward_from_zero, *level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
         if sweeps == 1:
-            half_sweeps.forward_residual(zero, *level.upper_arrays, v.solution, v.kept)
+            level.sweep(half_sweeps.forward_residual, *level.upper_arrays, v.solution, v.kept)
         else:
-            half_sweeps.backward_change(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)
-            half_sweeps.residual(zero, *level.lower_arrays, v.kept)
+            level.sweep(half_sweeps.backward_change, *level.upper_arrays, level.inverse, v.solution, v.kept,
+                        backward=True)
+            level.sweep(half_sweeps.residual, *level.lower_arrays, v.kept, backward=True)
         # forward and residual: L, U; forward, backward, residual: L, U, L
         return 1 if sweeps == 1 else 1.5
 
     def _after(self, number: int, v: LevelVectors) -> float:
-        level, sweeps, zero = self.levels[number], self.sweeps[number], ZERO[self.levels[number].dim]
+        level, sweeps = self.levels[number], self.sweeps[number]
         if self._custom:
             return self._custom[number].smooth(v.load, v.solution)
         if sweeps == 1:
-            half_sweeps.backward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution)
+            level.sweep(half_sweeps.backward_full, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load,
+                        v.solution, backward=True)
         else:
-            half_sweeps.forward_full(zero, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load, v.solution,
-                                     v.kept)
-            half_sweeps.backward_kept(zero, *level.upper_arrays, level.inverse, v.solution, v.kept)
+            level.sweep(half_sweeps.forward_full, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load,
+                        v.solution, v.kept)
+            level.sweep(half_sweeps.backward_kept, *level.upper_arrays, level.inverse, v.solution, v.kept,
+                        backward=True)
         # backward: L, U; forward, backward: L, U, U
         return 1 if sweeps == 1 else 1.5
 

@@ -58,14 +58,12 @@ def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
 
 
 @kernel
-def backward(zero, l_indptr, l_indices, lower, inverse, load, contact_of, frames, blocks, gap, reference, limit,
-             friction, values, u, kept):
-    """Backward projected sweep, kept = f - U u."""
+def backward(first, last, order, zero, l_indptr, l_indices, lower, inverse, contact_of, frames, blocks, gap, reference,
+             limit, friction, values, u, kept):
+    """Backward projected sweep; ``kept`` comes as f and becomes f - U u."""
     dim = np.uint64(len(zero))
-    for at in range(len(load)):
-        kept[at] = load[at]
-    for node in range(len(l_indptr) - 2, -1, -1):
-        i = np.uint64(node)
+    for place in range(last - 1, first - 1, -1):
+        i = np.uint64(order[place])
         at = dim * i
         # kept comes last: it is the one to wait for, as the node before has just written to it
         r = minus_row(i, -1, l_indptr, l_indices, lower, u, zero, LINES)
@@ -79,13 +77,13 @@ def backward(zero, l_indptr, l_indices, lower, inverse, load, contact_of, frames
 
 
 @kernel(fastmath={"contract"})
-def forward(zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, blocks, gap, reference, limit,
-            friction, values, u, kept):
+def forward(first, last, order, zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, blocks, gap,
+            reference, limit, friction, values, u, kept):
     """Forward projected sweep after :func:`backward`; ``kept`` becomes f - A u. ``diagonal`` (n_contact * dim^2,) are
     the Cartesian diagonal blocks of the contact nodes."""
     dim = np.uint64(len(zero))
-    for node in range(len(l_indptr) - 1):
-        i = np.uint64(node)
+    for place in range(first, last):
+        i = np.uint64(order[place])
         at = dim * i
         r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(kept, at, zero), LINES)
         if likely(contact_of[i] < 0):
@@ -101,11 +99,11 @@ def forward(zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, fra
 
 
 @kernel
-def energy_product(zero, l_indptr, l_indices, lower, inverse, new, old):
+def energy_product(first, last, zero, l_indptr, l_indices, lower, inverse, new, old):
     """(new - old)' A (new - old) from L and the inverse diagonal blocks: half a pass."""
     dim = np.uint64(len(zero))
     total = 0.0
-    for node in range(len(l_indptr) - 1):
+    for node in range(first, last):
         i = np.uint64(node)
         at = dim * i
         change = subtract(read(new, at, zero), read(old, at, zero))

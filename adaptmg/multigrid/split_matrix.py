@@ -2,12 +2,14 @@ r"""SplitMatrix: a block matrix stored as strict lower part L, strict upper part
 
 Gauss-Seidel sweeps in turn, forward after backward, need the half that has changed only: with :math:`t = f - U u` kept
 from the backward sweep, the forward sweep is :math:`D u_i = t_i - L_i u`. A half is streamed by itself and counts as
-half a pass. Of a symmetric matrix L alone is stored where the sweeps scatter :math:`L^T`. Rows and columns of fixed
-dofs are zero. :func:`galerkin_levels` splits the matrices of all levels of a hierarchy.
+half a pass. L couples a node with those before it in the order of the sweeps (:class:`~adaptmg._threads.Strips`). Of a
+symmetric matrix L alone is stored where the sweeps scatter :math:`L^T`. Rows and columns of fixed dofs are zero.
+:func:`galerkin_levels` splits the matrices of all levels of a hierarchy.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,8 +18,10 @@ from scipy import sparse
 
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import inner_kernel, kernel, read_only
+from adaptmg._threads import Strips, in_parts
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level
+from adaptmg.smoother.blocks import ZERO
 from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen, without_fixed
 
 
@@ -36,6 +40,7 @@ class SplitMatrix:
     inverse: np.ndarray  # (n_nodes * dim * dim,)
     fixed: np.ndarray  # (n_fixed,) int64: fixed dofs
     nonzeros: int  # stored entries of the whole matrix, the unit of work on this level
+    strips: Strips  # the order of the sweeps
 
     @property
     def n_nodes(self) -> int:
@@ -57,6 +62,10 @@ class SplitMatrix:
     @property
     def upper_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.upper_indptr, self.upper_indices, self.upper
+
+    def sweep(self, kernel: Callable[..., None], *arguments: object, backward: bool = False) -> None:
+        """Run a kernel over all nodes in the order of the sweeps, ``zero`` before its ``arguments``."""
+        self.strips.sweep(kernel, ZERO[self.dim], *arguments, backward=backward)
 
     def drop_diagonal(self) -> None:
         """Free the diagonal blocks: :meth:`at_slots` and :meth:`matrix` are then out of reach."""
@@ -114,8 +123,11 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     dim = matrix.blocksize[0]
     n = matrix.shape[0] // dim
     indptr, indices, data = read_only(matrix.indptr), read_only(matrix.indices), matrix.data.reshape(-1)
-    lower_indptr, upper_indptr = np.empty(n + 1, dtype=np.int32), np.empty(n + 1, dtype=np.int32)
-    count(indptr, indices, lower_indptr, upper_indptr)
+    strips, size = Strips.of(indptr, indices, dim * dim), len(data)
+    lower_indptr, upper_indptr = np.zeros(n + 1, dtype=np.int32), np.zeros(n + 1, dtype=np.int32)
+    in_parts(count, n, size, indptr, indices, strips.rank, lower_indptr, upper_indptr)
+    for counts in (lower_indptr, upper_indptr):
+        np.cumsum(counts, out=counts)
     below, above = int(lower_indptr[-1]), int(upper_indptr[-1])
     nonzeros = (below + above + n) * dim * dim
     if symmetric:
@@ -123,8 +135,8 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     lower_indices, upper_indices = np.empty(below, dtype=np.uint32), np.empty(above, dtype=np.uint32)
     lower, upper = np.empty(below * dim * dim), np.empty(above * dim * dim)
     diagonal, inverse = np.empty(n * dim * dim), np.empty(n * dim * dim)
-    distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices,
-               upper, diagonal)
+    in_parts(distribute, n, size, dim, indptr, indices, data, strips.rank, lower_indptr, lower_indices, lower,
+             upper_indptr, upper_indices, upper, diagonal)
     dofs = np.flatnonzero(fixed)
     if len(dofs):
         free, held = ~fixed, np.zeros(n, dtype=bool)
@@ -133,9 +145,9 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
         if not symmetric:
             mask(dim, upper_indptr, upper_indices, upper, free, held)
         decouple(dim, diagonal, dofs)
-    invert_all(dim, diagonal, inverse)
+    in_parts(invert_all, n, size, dim, diagonal, inverse)
     return SplitMatrix(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse,
-                       dofs, nonzeros)
+                       dofs, nonzeros, strips)
 
 
 def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
@@ -191,48 +203,47 @@ def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.cs
 
 
 @kernel
-def count(indptr, indices, lower_indptr, upper_indptr):
-    """Row pointers of both halves."""
-    lower_indptr[0] = upper_indptr[0] = 0
-    for i in range(len(indptr) - 1):
+def count(first, last, indptr, indices, rank, lower_counts, upper_counts):
+    """Blocks of the rows in both halves, one place further: what row pointers are summed from."""
+    for i in range(first, last):
         below = 0
         above = 0
         for k in range(indptr[i], indptr[i + 1]):
             # no branches: half of them would be mispredicted
-            below += indices[k] < i
-            above += indices[k] > i
-        lower_indptr[i + 1] = lower_indptr[i] + below
-        upper_indptr[i + 1] = upper_indptr[i] + above
+            below += rank[indices[k]] < rank[i]
+            above += rank[indices[k]] > rank[i]
+        lower_counts[i + 1] = below
+        upper_counts[i + 1] = above
 
 
-@inner_kernel
-def _copy(size, count, begin, to, indices, data, own_indices, own):
-    """A run of ``count`` blocks from place ``begin`` to place ``to``."""
-    for k in range(count):
-        own_indices[to + k] = indices[begin + k]
-    for c in range(size * count):
-        own[size * to + c] = data[size * begin + c]
+@inner_kernel(forceinline=True)
+def _copy(size, k, to, indices, data, own_indices, own):
+    own_indices[to] = indices[k]
+    for c in range(size):
+        own[size * to + c] = data[size * k + c]
 
 
 @kernel
-def distribute(dim, indptr, indices, data, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper,
-                diagonal):
+def distribute(first, last, dim, indptr, indices, data, rank, lower_indptr, lower_indices, lower, upper_indptr,
+               upper_indices, upper, diagonal):
     """Blocks into L, U (unless it is empty) and D; blocks of a duplicate or missing diagonal are summed or zero."""
     size = dim * dim
     both = len(upper_indptr) > 0
-    diagonal[:] = 0.0
-    for i in range(len(indptr) - 1):
-        # the columns are sorted, so that the row is one run for each part
-        begin, to = np.int64(indptr[i]), np.int64(lower_indptr[i])
-        count = lower_indptr[i + 1] - to
-        _copy(size, count, begin, to, indices, data, lower_indices, lower)
-        begin += count
-        while begin < indptr[i + 1] and indices[begin] == i:
-            for c in range(size):
-                diagonal[size * i + c] += data[size * begin + c]
-            begin += 1
-        if both:
-            _copy(size, indptr[i + 1] - begin, begin, np.int64(upper_indptr[i]), indices, data, upper_indices, upper)
+    for i in range(first, last):
+        for c in range(size):
+            diagonal[size * i + c] = 0.0
+        below, above = np.int64(lower_indptr[i]), np.int64(upper_indptr[i]) if both else 0
+        for k in range(indptr[i], indptr[i + 1]):
+            there = rank[indices[k]]
+            if there < rank[i]:
+                _copy(size, k, below, indices, data, lower_indices, lower)
+                below += 1
+            elif there == rank[i]:
+                for c in range(size):
+                    diagonal[size * i + c] += data[size * k + c]
+            elif both:
+                _copy(size, k, above, indices, data, upper_indices, upper)
+                above += 1
 
 
 @kernel
@@ -302,12 +313,12 @@ def _invert_2d(blocks, result, at):
 
 
 @kernel
-def invert_all(dim, diagonal, inverse):
+def invert_all(first, last, dim, diagonal, inverse):
     """Inverses of all diagonal blocks; see :func:`invert_block`."""
     size = dim * dim
     block = np.empty(size)
     scale = np.empty(dim)
-    for i in range(len(diagonal) // size):
+    for i in range(first, last):
         if dim == 2 and _invert_2d(diagonal, inverse, 4 * i):
             continue
         for c in range(size):

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg._runtime import kernel
+from adaptmg._threads import in_parts
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.half_sweeps import combine, dot, product_of_change, restrict, shorten, stiff_squares, zero_at
 from adaptmg.multigrid.linear_cycle import LinearCycle
@@ -121,11 +122,12 @@ class TruncatedStep:
 
     def _projected_sweeps(self) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
-        level, c, zero = self.level, self.contact, ZERO[self.level.dim]
-        projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, self.load, c.contact_of, *c.node_data,
-                                  self.unknowns, self.residual)
-        projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, c.diagonal, c.contact_of, *c.node_data,
-                                 self.unknowns, self.residual)
+        level, c = self.level, self.contact
+        in_parts(_copy, len(self.load), 2 * len(self.load), self.load, self.residual)
+        level.sweep(projected_sweeps.backward, *level.lower_arrays, level.inverse, c.contact_of, *c.node_data,
+                    self.unknowns, self.residual, backward=True)
+        level.sweep(projected_sweeps.forward, *level.lower_arrays, level.inverse, c.diagonal, c.contact_of,
+                    *c.node_data, self.unknowns, self.residual)
         self.cycle.recorder.count(1.0, level.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
 
@@ -157,8 +159,10 @@ class TruncatedStep:
         places = ring.places(self.recombination.past)
         alpha = self._recombine(places)
         correction = self.cycle.solve(self.number - 1)
-        energy = float(dot(self.cycle.vectors(self.number - 1).load, correction))
-        combine(*self._transfer, correction, ring.flat, places, alpha, ring.following)
+        energy = _product(self.cycle.vectors(self.number - 1).load, correction)
+        n = self.level.n_dofs
+        in_parts(combine, len(self._transfer[1]) - 1, 6 * n, *self._transfer, correction, ring.flat, places, alpha,
+                 ring.following)
         proposed = ring.past[-1]
         zero_at(proposed, self.level.fixed)
         return proposed, energy
@@ -166,7 +170,8 @@ class TruncatedStep:
     def _search(self, proposed: np.ndarray, before: np.ndarray) -> None:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
         curvature = self._energy_product(proposed)
-        gain = product_of_change(self.residual, proposed, self.unknowns)
+        n = len(proposed)
+        gain = sum(in_parts(product_of_change, n, 3 * n, self.residual, proposed, self.unknowns))
 
         def slope(part: float) -> float:
             return part * curvature - gain + self.contact.friction_slope(before, part)
@@ -182,7 +187,7 @@ class TruncatedStep:
 
     def energy(self) -> float:
         """u'Au - u'r = u'f at the present unknowns and residual f - A u (before :meth:`linearise`), N m."""
-        return float(dot(self.unknowns, self.load) - dot(self.unknowns, self.residual))
+        return _product(self.unknowns, self.load) - _product(self.unknowns, self.residual)
 
     def distance(self, other: np.ndarray) -> float:
         return float(np.sqrt(max(self._energy_product(other), 0.0)))
@@ -191,12 +196,23 @@ class TruncatedStep:
         """Square of the A-norm of the difference to other unknowns; half a pass."""
         level = self.level
         self.cycle.recorder.count(0.5, level.nonzeros)
-        return projected_sweeps.energy_product(ZERO[level.dim], *level.lower_arrays, level.inverse, self.unknowns,
-                                               other)
+        return sum(in_parts(projected_sweeps.energy_product, level.n_nodes, len(level.lower), ZERO[level.dim],
+                            *level.lower_arrays, level.inverse, self.unknowns, other))
 
     def rounding(self) -> float:
         """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that arithmetic reaches."""
-        return float(np.sqrt(stiff_squares(self.level.dim, self.level.inverse, self.unknowns)))
+        level = self.level
+        return float(np.sqrt(sum(in_parts(stiff_squares, level.n_nodes, len(level.inverse), level.dim, level.inverse,
+                                          self.unknowns))))
+
+
+def _copy(first: int, last: int, source: np.ndarray, to: np.ndarray) -> None:
+    to[first:last] = source[first:last]
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> float:
+    """a'b."""
+    return float(sum(in_parts(dot, len(a), 2 * len(a), a, b)))
 
 
 class Ring:
@@ -255,11 +271,14 @@ class Recombination:
         self._alpha[:] = 0.0
         if self.past:
             ring = self.residuals
-            _fit(self.dim, inverse, ring.flat, ring.places(self.past), self._alpha)
+            n = len(self.residuals.now)
+            sums = in_parts(_sums, n // self.dim, 6 * n, self.dim, inverse, ring.flat, ring.places(self.past))
+            _fit(np.sum(sums, axis=0), self._alpha)
         return self._alpha
 
     def combine(self, alpha: np.ndarray, result: np.ndarray) -> None:
-        _combined(self.residuals.flat, self.residuals.places(self.past), alpha, result)
+        ring, n = self.residuals, len(result)
+        in_parts(_combined, n, 6 * n, ring.flat, ring.places(self.past), alpha, result)
 
     def advance(self) -> None:
         self.residuals.advance()
@@ -271,12 +290,12 @@ _SINGULAR = 1e-10
 
 
 @kernel
-def _fit(dim, inverse, ring, places, alpha):
-    """The weights ``alpha`` (4,) of the weighted least squares problem; 0 for residuals that depend on newer ones."""
+def _sums(begin, end, dim, inverse, ring, places):
+    """What the normal equations of the weighted least squares problem sum over these nodes."""
     now, first, second, third, fourth = places
     a_11, a_12, a_13, a_14, a_22, a_23, a_24, a_33, a_34, a_44 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     b_1, b_2, b_3, b_4 = 0.0, 0.0, 0.0, 0.0
-    for i in range(len(inverse) // dim**2):
+    for i in range(begin, end):
         for c in range(dim):
             at = dim * i + c
             weight, r = inverse[at * dim + c], ring[now + at]
@@ -297,6 +316,13 @@ def _fit(dim, inverse, ring, places, alpha):
             b_2 -= w_2 * r
             b_3 -= w_3 * r
             b_4 -= w_4 * r
+    return a_11, a_12, a_13, a_14, a_22, a_23, a_24, a_33, a_34, a_44, b_1, b_2, b_3, b_4
+
+
+@kernel
+def _fit(sums, alpha):
+    """Solve the normal equations for the weights ``alpha`` (4,); 0 for residuals that depend on newer ones."""
+    a_11, a_12, a_13, a_14, a_22, a_23, a_24, a_33, a_34, a_44, b_1, b_2, b_3, b_4 = sums
     matrix = np.array([[a_11, a_12, a_13, a_14], [a_12, a_22, a_23, a_24], [a_13, a_23, a_33, a_34],
                        [a_14, a_24, a_34, a_44]])
     alpha[0], alpha[1], alpha[2], alpha[3] = b_1, b_2, b_3, b_4
@@ -316,9 +342,9 @@ def _fit(dim, inverse, ring, places, alpha):
 
 
 @kernel
-def _combined(ring, places, alpha, result):
+def _combined(begin, end, ring, places, alpha, result):
     now, first, second, third, fourth = places
-    for at in range(len(result)):
+    for at in range(begin, end):
         r = ring[now + at]
         result[at] = r + alpha[0] * (ring[first + at] - r) + alpha[1] * (ring[second + at] - r) + alpha[2] * (
             ring[third + at] - r) + alpha[3] * (ring[fourth + at] - r)

@@ -61,7 +61,7 @@ class _ChangedDofs(_Changed):
         rows, columns = dofs[keys // len(dofs)], dofs[keys % len(dofs)]
         slots = np.empty(len(keys), dtype=np.int64)
         find_slots(rows, columns, level.lower_indptr, level.lower_indices, level.upper_indptr, level.upper_indices,
-                   slots)
+                   level.strips.rank, slots)
         if (slots < 0).any():
             raise ValueError("a coarse matrix lacks entries of the Galerkin product near contact: it must be P'AP")
         return cls(level, 1, slots, rows, columns, weights, keys)
@@ -162,7 +162,8 @@ def _products(level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, col
     number = np.full(below + n + above, -1, dtype=np.int32)
     met, count, lost = fill_contributions(
         rows, columns, nodal.indptr, nodal.indices, nodal.data, level.lower_indptr, level.lower_indices,
-        level.upper_indptr, level.upper_indices, number, source, target, weight, slots, coarse_rows, coarse_columns)
+        level.upper_indptr, level.upper_indices, level.strips.rank, number, source, target, weight, slots, coarse_rows,
+        coarse_columns)
     if lost:
         raise ValueError(f"a coarse matrix lacks {lost} entries of the Galerkin product near contact: build the coarse "
                          "matrices with coarse_matrices='galerkin'")
@@ -275,13 +276,14 @@ def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, fricti
 
 
 @inner_kernel
-def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices):
+def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank):
     """Slot of block (row, column), -1 where the matrix has none."""
     n = len(l_indptr) - 1
     below = np.int64(l_indptr[n])
     if row == column:
         return below + row
-    if column < row:
+    in_lower = rank[column] < rank[row]
+    if in_lower:
         low, high = np.int64(l_indptr[row]), np.int64(l_indptr[row + 1])
         shift = np.int64(0)
     else:
@@ -289,7 +291,7 @@ def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices):
         shift = below + n
     while low < high:
         middle = (low + high) // 2
-        found = np.int64(l_indices[middle]) if column < row else np.int64(u_indices[middle])
+        found = np.int64(l_indices[middle]) if in_lower else np.int64(u_indices[middle])
         if found == column:
             return shift + middle
         if found < column:
@@ -300,14 +302,14 @@ def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices):
 
 
 @kernel
-def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, slots):
+def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, rank, slots):
     """Slots of many blocks."""
     for k in range(len(rows)):
-        slots[k] = find_slot(rows[k], columns[k], l_indptr, l_indices, u_indptr, u_indices)
+        slots[k] = find_slot(rows[k], columns[k], l_indptr, l_indices, u_indptr, u_indices, rank)
 
 
 @kernel
-def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indices, u_indptr, u_indices, number,
+def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indices, u_indptr, u_indices, rank, number,
                        source, target, weight, slots, coarse_rows, coarse_columns):
     """Where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``. ``number`` (slots of
     the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number, the number of products, and
@@ -320,7 +322,7 @@ def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indi
         for p in range(indptr[i], indptr[i + 1]):
             for q in range(indptr[j], indptr[j + 1]):
                 row, column = np.int64(indices[p]), np.int64(indices[q])
-                slot = find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices)
+                slot = find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank)
                 if slot < 0:
                     lost += 1
                     continue

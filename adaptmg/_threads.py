@@ -1,0 +1,174 @@
+r"""Threads of one solve: kernels over parts of their rows, and Gauss-Seidel sweeps over strips of nodes.
+
+Kernels release the interpreter's lock, so that threads of Python run them at the same time. Parts and strips depend on
+the size of the arrays and on the matrix, never on the number of threads: the bits of a result are the same for any.
+
+A :class:`Strips` cuts the nodes of a large matrix into strips, such that a node is coupled with its own strip and one
+of the two next to it, never with both. All even strips may then be swept at the same time, and after them all odd ones:
+no strip reads or writes what another one writes, even where a sweep scatters to neighbours. The result is that of
+Gauss-Seidel over all even strips one after the other, then the odd ones. Small matrices are a single strip.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import breadth_first_order
+
+from adaptmg import _checks as checks
+
+#: numbers read from which a kernel is cut into this many parts; the least number of strips that pays
+LARGE, PARTS, FEWEST = 1_000_000, 16, 4
+
+
+class _Threads:
+    """The threads of the process, started when they are first needed."""
+
+    def __init__(self) -> None:
+        self.number, self.pool = 1, None
+
+    def set(self, number: int) -> None:
+        if self.pool is not None:
+            self.pool.shutdown()
+        self.number, self.pool = number, None
+
+    def run(self, task: Callable[[], None]) -> None:
+        """Do a task in all threads at the same time, this one included."""
+        if self.number > 1 and self.pool is None:
+            self.pool = ThreadPoolExecutor(self.number - 1, thread_name_prefix="adaptmg")
+        others = [self.pool.submit(task) for _ in range(self.number - 1)]
+        task()
+        for other in others:
+            # one that has not begun finds nothing left to do
+            if not other.cancel():
+                other.result()
+
+
+_THREADS = _Threads()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_THREADS.__init__)  # threads do not come along to a child
+
+
+def set_threads(threads: int) -> None:
+    """Set the number of threads that a solve takes in this process, 1 unless it is set.
+
+    More than one serve large problems: from about 40 000 nodes in 2D, 8 000 in 3D. The results have the same bits for
+    any number of threads. Many small solves are better run at the same time, by the workers of an
+    :class:`adaptmg.Study`.
+
+    Parameters
+    ----------
+    threads : int
+        At least 1; more than the processors that the process may use gain nothing.
+
+    Raises
+    ------
+    ValueError
+        Also for more than one thread inside a dask worker that runs several tasks at the same time.
+
+    Examples
+    --------
+    >>> am.set_threads(1)
+    """
+    threads = checks.integer("threads", threads, 1)
+    if threads > 1 and _tasks_at_a_time() > 1:
+        raise ValueError(f"threads must be 1 in a worker that runs {_tasks_at_a_time()} tasks at the same time, got "
+                         f"{threads}: start workers with one thread each")
+    _THREADS.set(threads)
+
+
+def _tasks_at_a_time() -> int:
+    """Threads of the dask worker that runs this code; 1 outside of workers."""
+    distributed = sys.modules.get("distributed")
+    try:
+        return 1 if distributed is None else distributed.get_worker().state.nthreads
+    except ValueError:  # this is no worker
+        return 1
+
+
+def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object) -> list[Any]:
+    """What ``kernel(first, last, *arguments)`` returns for the parts of n rows, in their order: one part unless the
+    rows read LARGE numbers (``size``) together."""
+    count = PARTS if size >= LARGE else 1
+    return _shared([(n * k // count, n * (k + 1) // count) for k in range(count)], kernel, arguments)
+
+
+def _shared(ranges: Sequence[tuple[int, int]], kernel: Callable[..., Any], arguments: tuple[object, ...]) -> list[Any]:
+    if len(ranges) == 1 or _THREADS.number == 1:
+        return [kernel(first, last, *arguments) for first, last in ranges]
+    results, left = [None] * len(ranges), iter(range(len(ranges)))
+
+    def work() -> None:
+        for k in left:
+            results[k] = kernel(*ranges[k], *arguments)
+
+    _THREADS.run(work)
+    return results
+
+
+@dataclass(frozen=True, eq=False)
+class Strips:
+    """Nodes in the order of a forward sweep."""
+
+    order: np.ndarray  # (n_nodes,) int32: even strips, then odd ones
+    rank: np.ndarray  # (n_nodes,) int32: the place of a node in this order
+    colours: list[list[tuple[int, int]]]  # ranges of places that are swept at the same time
+
+    @classmethod
+    def of(cls, indptr: np.ndarray, indices: np.ndarray, block: int) -> Strips:
+        """The strips of a matrix with a symmetric pattern, sorted columns, and ``block`` entries a block."""
+        n = len(indptr) - 1
+        own = np.arange(n, dtype=np.int32)
+        if block * len(indices) < LARGE:
+            return cls(own, own, [[(0, n)]])
+        order, bounds = own, _bounds(indices[indptr[1:] - 1])
+        if len(bounds) <= FEWEST:
+            order = _by_distance(indptr, indices)
+            place = np.empty_like(order)
+            place[order] = own
+            bounds = _bounds(np.maximum.reduceat(place[indices], indptr[:-1])[order])
+        if len(bounds) <= FEWEST:
+            return cls(own, own, [[(0, n)]])
+        # in a strip in the order of the numbers: neighbours in memory
+        strips = [np.sort(order[first:last]) for first, last in pairwise(bounds)]
+        parts = [*strips[::2], *strips[1::2]]
+        ends = np.cumsum([0, *map(len, parts)]).tolist()
+        ranges, even = list(pairwise(ends)), len(strips[::2])
+        order, rank = np.concatenate(parts), np.empty_like(own)
+        rank[order] = own
+        return cls(order, rank, [ranges[:even], ranges[even:]])
+
+    def sweep(self, kernel: Callable[..., Any], *arguments: object, backward: bool = False) -> None:
+        """Call ``kernel(first, last, order, *arguments)``, which sweeps over these places, for all strips."""
+        for ranges in reversed(self.colours) if backward else self.colours:
+            _shared(ranges, kernel, (self.order, *arguments))
+
+
+def _bounds(last: np.ndarray) -> list[int]:
+    """Where strips begin and end: ``last`` (n,) is the place of the last neighbour of a node at each place."""
+    n = len(last)
+    reach = np.append(0, np.maximum.accumulate(last) + 1)  # the places before this one are not coupled beyond it
+    bounds = [0]
+    while bounds[-1] < n:
+        two_layers = int(reach[reach[bounds[-1]]])
+        bounds.append(min(max(two_layers, bounds[-1] + -(-n // (2 * PARTS))), n))
+    return bounds
+
+
+def _by_distance(indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
+    """Nodes by their distance from one of them in the graph of a matrix, part by part where it falls apart."""
+    n = len(indptr) - 1
+    graph = sparse.csr_array((np.ones(len(indices), dtype=np.int8), indices, indptr), shape=(n, n))
+    new, found = np.ones(n, dtype=bool), []
+    while new.any():
+        found.append(breadth_first_order(graph, int(np.argmax(new)), return_predecessors=False))
+        new[found[-1]] = False
+    return np.concatenate(found).astype(np.int32)
