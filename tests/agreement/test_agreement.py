@@ -153,9 +153,10 @@ def check(case: str, law: str, solver: am.Multigrid) -> None:
     assert_contact_conditions(result, problem)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("case", CASES)
+# every method meets every case, and every law in five cases or more
+@pytest.mark.parametrize(("case", "law", "method"), [
+    (case, law, method) for i, case in enumerate(CASES) for j, law in enumerate(LAWS)
+    for k, method in enumerate(METHODS) if case in ("bar", "block", "pair") or (i + j + k) % 3 == 0])
 def test_every_method_agrees_with_the_reference(case, law, method):
     check(case, law, METHODS[method])
 

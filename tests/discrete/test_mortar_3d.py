@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from mortar import mortar_3d, node_to_node
+from refused import refused
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 from uncompiled import uncompile
@@ -223,40 +224,36 @@ def test_any_soup_of_masters_is_sorted_by_sight():
         assert interface.weights @ interface.gaps == pytest.approx(0.5 * np.where(seen, nearest, 0).mean(), abs=0.005)
 
 
-def test_reach_and_depth():
-    slave, low = square(30, 1, up=DOWN), square(30, 2, up=UP, z=-0.2)
-    points, first, second = joined(slave, low)
-    assert couple(points, first, second, reach=0.21).gaps == pytest.approx(0.2)
-    with pytest.raises(ValueError, match=NEVER_FACING):
-        couple(points, first, second, reach=0.19)
-    # overlap is found too, but not as deep as gaps are wide
-    points[second.min():, 2] = 0.2
-    assert couple(points, first, second).gaps == pytest.approx(-0.2)
-    points[second.min():, 2] = 0.8
-    with pytest.raises(ValueError, match=NEVER_FACING):
-        couple(points, first, second)
-    assert couple(points, first, second, reach=1.0).gaps == pytest.approx(-0.8)
+def facing(height, reach=None, turn=1):
+    """A surface and a parallel one, whose facets may be turned."""
+    points, slave, master = joined(square(30, 1, up=DOWN), square(30, 2, up=UP, z=height))
+    return couple(points, slave, master[:, ::turn], reach=reach)
 
 
-@pytest.mark.parametrize("width", [1e-3, 1e-4, 1e-6])
-def test_a_narrow_strip_of_coverage_is_stable(width):
-    flat, slave, master = joined(square(30, 7, up=DOWN, z=0.1), square(30, 8, up=UP, low=(-1, -0.1), high=(width, 1.1)))
+# overlap is found too, but not as deep as gaps are wide
+@pytest.mark.parametrize(("height", "reach"), [(-0.2, 0.21), (0.2, None), (0.8, 1.0)])
+def test_reach_and_depth(height, reach):
+    assert facing(height, reach).gaps == pytest.approx(-height)
+
+
+def inward():
+    points, slave, master = joined(square(10, 1, up=DOWN, z=0.1), square(10, 2, up=UP))
+    return mortar_3d(points, slave, master, -surface_normals(points, slave))
+
+
+test_refused = refused(
+    (lambda: facing(-0.2, 0.19), NEVER_FACING), (lambda: facing(0.8), NEVER_FACING),
+    (lambda: facing(-0.2, turn=-1), NEVER_FACING), (inward, "normals must point out"),
+    (lambda: couple(*joined(square(9, 1, up=DOWN, low=(5, 0), high=(6, 1)), square(9, 2, up=UP, z=-0.1))),
+     NEVER_FACING))
+
+
+def test_a_narrow_strip_of_coverage_is_stable():
+    flat, slave, master = joined(square(30, 7, up=DOWN, z=0.1), square(30, 8, up=UP, low=(-1, -0.1), high=(1e-6, 1.1)))
     interface = couple(rigid(flat, 3), slave, master)
     np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-10)
     np.testing.assert_allclose(interface.gaps, 0.1, atol=1e-10)
-    assert interface.weights.sum() == pytest.approx(width, rel=1e-2)
-
-
-def test_what_does_not_fit_is_refused():
-    points, slave, master = joined(square(10, 1, up=DOWN, z=0.1), square(10, 2, up=UP))
-    normals = surface_normals(points, slave)
-    with pytest.raises(ValueError, match=NEVER_FACING):
-        mortar_3d(points, slave, master[:, ::-1], normals)
-    with pytest.raises(ValueError, match=NEVER_FACING):
-        mortar_3d(points + np.r_[np.tile([5.0, 0, 0], (slave.max() + 1, 1)), 0 * points[slave.max() + 1:]], slave,
-                  master, normals)
-    with pytest.raises(ValueError, match="normals must point out"):
-        mortar_3d(points, slave, master, -normals)
+    assert interface.weights.sum() == pytest.approx(1e-6, rel=1e-2)
 
 
 def test_kernels_without_jit(monkeypatch):
