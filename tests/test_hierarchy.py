@@ -1,6 +1,7 @@
 """Hierarchies: constructors, the table, other problems, levels that come and go; and what is refused."""
 
 import pickle
+import warnings
 from dataclasses import replace
 from functools import cache
 from importlib import import_module
@@ -79,6 +80,15 @@ def test_contact_rows_stay_on_the_contact_boundary():
     assert np.abs(found - x).max() > 1e-3
     untouched = am.Hierarchy.graded(BAR, sizes=sizes, transfer=Nearest(), contact_rows=False)
     assert (np.diff(untouched[1].prolongation.indptr) == 1).all()
+
+
+def test_more_levels_of_bisection_that_hardly_help_are_warned_of():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "hardly" not in repr(am.Hierarchy.bisected(BAR, structured(BAR.domain, 8), 2))
+    with pytest.warns(UserWarning, match=r"levels=4: .*elements of up to 0.00707 m.*hardly help") as said:
+        assert "more levels hardly help" in repr(am.Hierarchy.bisected(BAR, structured(BAR.domain, 8), 4))
+    assert said[0].filename == __file__
 
 
 RENAMED = replace(COARSE, boundaries=("south", "east", "north", "west"), source=None)

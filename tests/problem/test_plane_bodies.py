@@ -124,8 +124,8 @@ def test_a_gmsh_file_with_names_is_solved_and_drawn_without_a_domain(tmp_path):
     meshio.write(tmp_path / "plate.msh", meshio.Mesh(
         np.pad(mesh.points, ((0, 0), (0, 1))), [("line", mesh.facets), ("triangle", mesh.elements)], field_data=names,
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags}), "gmsh22")
-    problem = replace(POSED, domain=None, material={"plate": POSED.material}, loads=[am.Pressure("top", 5e7)], supports=[
-        am.Symmetry("left"), am.Spring("hole", normal=1e9), am.PointSpring((0, 2), y=1e9)])
+    problem = replace(POSED, domain=None, material={"plate": POSED.material}, loads=am.Pressure("top", 5e7), supports=(
+        am.Symmetry("left"), am.Spring("hole", normal=1e9), am.PointSpring((0, 2), y=1e9)))
     grids = am.Hierarchy.from_meshes(problem, [tmp_path / "plate.msh"])
     assert am.solve(grids, am.ActiveSet()).resultant("contact").force[1] > 0
     legend = am.plot.problem(problem, mesh=grids.finest.mesh).axes[0].get_legend()
