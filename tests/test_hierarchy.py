@@ -227,12 +227,13 @@ def meshes_of(problem):
 
 @pytest.mark.parametrize("problem", [BAR, JOINT], ids=["bar", "pair"])
 @pytest.mark.parametrize("transfer", [None, am.PseudoL2()])
-def test_append_equals_from_meshes(problem, transfer):
+@pytest.mark.parametrize("rows", [True, False])
+def test_append_equals_from_meshes(problem, transfer, rows):
     meshes = meshes_of(problem)
-    grown = am.Hierarchy.from_meshes(problem, meshes[:1], transfer)
+    grown = am.Hierarchy.from_meshes(problem, meshes[:1], transfer, contact_rows=rows)
     for mesh in meshes[1:]:
         grown = grown.append(mesh)
-    assert same(grown, am.Hierarchy.from_meshes(problem, meshes, transfer))
+    assert same(grown, am.Hierarchy.from_meshes(problem, meshes, transfer, contact_rows=rows))
 
 
 @settings(max_examples=15, deadline=None)
@@ -244,14 +245,6 @@ def test_without_equals_from_the_meshes_that_are_left(dropped):
     for level in sorted(dropped, reverse=True):
         rest = rest.without(level)
     assert same(rest, am.Hierarchy.from_meshes(problem, [m for k, m in enumerate(meshes) if k not in dropped]))
-
-
-def test_contact_rows_are_remembered():
-    problem, meshes = BAR, meshes_of(BAR)
-    plain = am.Hierarchy.from_meshes(problem, meshes[:2], am.PseudoL2(), contact_rows=False)
-    assert same(plain.append(meshes[2]), am.Hierarchy.from_meshes(problem, meshes[:3], am.PseudoL2(),
-                                                                  contact_rows=False))
-    assert not same(plain.append(meshes[2]), am.Hierarchy.from_meshes(problem, meshes[:3], am.PseudoL2()))
 
 
 def test_nothing_is_discretised_or_located_twice(monkeypatch):

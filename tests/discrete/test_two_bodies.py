@@ -285,18 +285,18 @@ def test_an_interference_fit(dim, pair):
     compliance = {name: (1 + m.poisson) * (1 - 2 * m.poisson) / (m.young * (1 - m.poisson))
                   for name, m in materials.items()}
     pressure = overlap / sum(heights[name] * compliance[name] for name in heights)
-    for solver in (EXACT, am.FullMultigrid(rtol=1e-10), am.Multigrid(rtol=1e-10),
-                   am.Multigrid(correction=am.Monotone(), rtol=1e-10), am.SingleGrid(condensed=True, rtol=1e-12)):
+    for solver in (EXACT, am.FullMultigrid(rtol=1e-10), am.Multigrid(correction=am.Monotone(), rtol=1e-10),
+                   am.SingleGrid(condensed=True, rtol=1e-12)):
         result = am.solve(grids, solver)
         np.testing.assert_allclose(result.contact.pressure, pressure, rtol=1e-7)
         assert np.abs(result.contact.gap).max() <= 1e-8 * overlap
         top = grids.finest.mesh.boundary_nodes("lower.top")
         np.testing.assert_allclose(result.displacement[top, -1], -pressure * 0.6 * compliance["lower"], rtol=1e-7)
-    # from a start that overlaps, one that gapes, and the solution
-    for start in (np.zeros_like(result.displacement), result, 3 * result.displacement):
+    # from a start that gapes, and from the solution
+    for start, cycles in ((3 * result.displacement, 30), (result, 1)):
         again = am.solve(grids, am.Multigrid(rtol=1e-10), start=start)
         np.testing.assert_allclose(again.contact.pressure, pressure, rtol=1e-7)
-        assert again.cycles <= (1 if start is result else 30)
+        assert again.cycles <= cycles
     deep = rf"{pair[0]}.*{pair[1]}.*overlap by up to {overlap:.4f} m.*allow_interference"
     with pytest.raises(ValueError, match=deep):
         discretise(replace(problem, contact=am.ContactPair(*pair)), grids.finest.mesh)

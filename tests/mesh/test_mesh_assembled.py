@@ -54,19 +54,11 @@ class TestMerged:
 
 
 class TestOutline:
-    @pytest.mark.parametrize("size", [1.0, 0.2])
-    def test_nodes_lie_on_the_circle(self, size):
-        mesh = graded(DISK, size)
-        assert mesh.boundaries == ("a", "b") and mesh.bodies == ("body",)
-        assert max(off_circle(mesh, name, (3, 5), 1) for name in "ab") < 1e-15
-        assert lengths(mesh, "a").max() < 2 * math.sin(math.radians(35 / 2))
-        for vertex in DISK.vertices:
-            assert (mesh.points == vertex).all(axis=1).sum() == 1
-
     @pytest.mark.parametrize("ratio", [1, 100])
     def test_mixed_edges(self, ratio):
         mesh = check_mesh(graded(RING, 0.4, "in", ratio), RING.boundaries)
-        assert mesh.boundaries == ("x", "out", "top", "y", "in")
+        assert mesh.boundaries == ("x", "out", "top", "y", "in") and mesh.bodies == ("body",)
+        assert all((mesh.points == vertex).all(axis=1).sum() == 1 for vertex in RING.vertices)
         inner = mesh.points[mesh.boundary_nodes("in")]
         arc = inner[inner[:, 0] > 0]
         straight = inner[inner[:, 0] <= 0]
@@ -91,18 +83,14 @@ class TestOutline:
         assert require_simple(RING) is None and require_simple(DISK) is None
 
 
-class TestGradedAssembly:
-    def test_each_body_is_meshed_apart(self):
-        mesh = graded(TWO, {"upper": 0.2, "lower": 0.4}, ("upper.bottom", "lower.top"), {"upper": 4, "lower": 2})
-        assert check_mesh(mesh, TWO.boundaries) is mesh and mesh.bodies == TWO.bodies
-        alone = merged({"upper": graded(UPPER, 0.2, "bottom", 4), "lower": graded(LOWER, 0.4, "top", 2)})
-        np.testing.assert_array_equal(mesh.points, alone.points)
-        np.testing.assert_array_equal(mesh.elements, alone.elements)
-        assert mesh.source.nv == mesh.n_nodes
-
-    def test_one_ratio_leaves_bodies_without_contact_alone(self):
-        mesh = graded(TWO, 0.4, "upper.bottom", 8)
-        assert lengths(mesh, "upper.bottom").max() < 0.08 and lengths(mesh, "lower.top").min() > 0.2
+def test_each_body_is_meshed_apart_and_without_contact_alone():
+    mesh = graded(TWO, {"upper": 0.2, "lower": 0.4}, ("upper.bottom", "lower.top"), {"upper": 4, "lower": 2})
+    assert check_mesh(mesh, TWO.boundaries) is mesh and mesh.bodies == TWO.bodies and mesh.source.nv == mesh.n_nodes
+    alone = merged({"upper": graded(UPPER, 0.2, "bottom", 4), "lower": graded(LOWER, 0.4, "top", 2)})
+    np.testing.assert_array_equal(mesh.points, alone.points)
+    np.testing.assert_array_equal(mesh.elements, alone.elements)
+    mesh = graded(TWO, 0.4, "upper.bottom", 8)
+    assert lengths(mesh, "upper.bottom").max() < 0.08 and lengths(mesh, "lower.top").min() > 0.2
 
 
 class TestSizedAssembly:
