@@ -18,7 +18,6 @@ from bodies import (
     uniaxial,
 )
 from norms import distance
-from smoother_problems import dual_solution, network
 
 import adaptmg as am
 
@@ -190,14 +189,3 @@ def test_a_stack_of_bodies_is_exact(law, method):
     grids = am.Hierarchy.from_meshes(problem, [mesh, stacked([(6, 4), (8, 6)])])
     result = am.solve(grids, replace(METHODS[method], rtol=1e-12))
     assert_state(result, uniaxial(result.mesh, (STIFF, STIFF)))
-
-
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("dim", [2, 3])
-def test_random_networks_solve_the_dual_problem(dim, law):
-    local = network(dim, law, fixed_tangent=True)
-    expected = local.to_cartesian(dual_solution(local))
-    for solver in (am.ActiveSet(), am.SingleGrid(rtol=1e-12)):
-        result = am.solve(local.discrete, solver)
-        assert np.abs(result.displacement - expected).max() <= 1e-9 * np.abs(expected).max()
-        assert result.residual < 1e-11
