@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from bodies import pressed, stacked
+from refused import refused
 from scipy import sparse
 
 import adaptmg as am
@@ -36,13 +37,6 @@ def two_chains(error):
                               law=am.Coulomb(0.3), contact=contact)
 
 
-@pytest.mark.parametrize("error", [0.32, 1e-7])
-def test_symmetry_of_a_soft_part_is_judged_by_its_own_stiffness(error):
-    assert two_chains(1e-13).n_nodes == 12
-    with pytest.raises(ValueError, match=r"matrix must be symmetric.*between nodes 6 and 7"):
-        two_chains(error)
-
-
 @pytest.mark.parametrize("scale", [1e-60, 1e60])
 def test_symmetry_does_not_depend_on_units(scale):
     discrete = am.Hierarchy.uniform(BAR, 4).finest.discrete
@@ -64,6 +58,9 @@ def test_bodies_of_very_different_stiffness_pass(ratio):
 
 def test_what_was_meant():
     problem = square()
+    tangential = (am.Support("right", x=0.0), am.Support("contact", x=0.0))
+    assert problem.contact_boundaries == ("contact",) and len(square(supports=tangential).supports) == 2
+    assert two_chains(1e-13).n_nodes == 12
     assert problem.loads == (am.Pressure("top", 1e6),) and problem.supports == (am.Support("right", x=0.0),)
     grids = am.Hierarchy.uniform(BAR, 4)
     assert len(grids) == len(am.Hierarchy.from_meshes(BAR, grids.finest.mesh)) == 1
@@ -81,13 +78,6 @@ def test_values_at_free_dofs_and_small_parts_of_a_field_stay():
     assert dataclasses.replace(discrete, fixed_values=values).fixed_values.max() == 1e-3
     friction = discrete.law.friction
     assert friction[0] == 1.0 and friction.min() == pytest.approx(np.exp(-1e5 * 40e-3))
-
-
-def test_the_name_contact_belongs_to_the_one_contact_boundary():
-    tangential = (am.Support("right", x=0.0), am.Support("contact", x=0.0))
-    assert square().contact_boundaries == ("contact",) and len(square(supports=tangential).supports) == 2
-    with pytest.raises(ValueError, match="the name 'contact' stands for all contact boundaries"):
-        square(contact=am.Contact("left", am.Plane((0.0, 0.0), (1.0, 0.0))), supports=am.Support("contact", x=0.0))
 
 
 def test_a_result_that_is_not_finite_has_diverged():
@@ -111,13 +101,42 @@ def test_a_user_s_matrix_is_not_changed():
     assert matrix.indices.dtype == before.indices.dtype
 
 
-def test_broken_lil_matrices_and_bools_among_numbers_are_refused():
+def _broken():
     matrix = sparse.lil_array(np.eye(3))
     matrix.rows[1] = [10**6]
-    with pytest.raises(ValueError, match="matrix: column index 1000000 is outside"):
-        check_arrays.sparse_matrix("matrix", matrix)
-    with pytest.raises(TypeError, match="gaps must be an array of real numbers"):
-        check_arrays.array("gaps", [0.0, True], (2,))
+    return check_arrays.sparse_matrix("matrix", matrix)
+
+
+test_refused = refused(
+    (_broken, "matrix: column index 1000000 is outside"),
+    (lambda: check_arrays.array("gaps", [0.0, True], (2,)), TypeError, "gaps must be an array of real numbers"),
+    *((lambda error=error: two_chains(error), r"matrix must be symmetric.*between nodes 6 and 7")
+      for error in (0.32, 1e-7)),
+    (lambda: square(contact=am.Contact("left", am.Plane((0.0, 0.0), (1.0, 0.0))), supports=am.Support("contact", x=0)),
+     "the name 'contact' stands for all contact boundaries"))
+
+
+@pytest.mark.parametrize("kind", ["csr", "csc", "bsr"])
+def test_indices_are_narrowed_to_32_bits_where_they_fit(kind, monkeypatch):
+    matrix = sparse.random_array((12, 12), density=0.3, rng=np.random.default_rng(1)).asformat(kind)
+    wide = matrix.copy()
+    wide.indices, wide.indptr = wide.indices.astype(np.int64), wide.indptr.astype(np.int64)
+    for result in (check_arrays.narrowed(wide), check_arrays.sparse_matrix("matrix", wide)):
+        assert result.indices.dtype == result.indptr.dtype == np.int32
+    result = check_arrays.narrowed(wide)
+    assert (result != matrix).nnz == 0 and getattr(result, "blocksize", 0) == getattr(matrix, "blocksize", 0)
+    assert result.format == kind and check_arrays.narrowed(result) is result
+    monkeypatch.setattr(check_arrays, "_LARGEST_INDEX", 5)
+    assert check_arrays.narrowed(wide) is wide
+
+
+@pytest.mark.parametrize("problem", [BAR, am.cases.two_block_patch()], ids=["bar", "bodies"])
+def test_all_levels_have_indices_of_32_bits(problem):
+    size = np.max(np.ptp([problem.domain.lower, problem.domain.upper], axis=0))
+    grids = am.Hierarchy.graded(problem, (size / 3, size / 6))
+    result = [level.discrete.matrix for level in grids.levels] + [grids.finest.prolongation]
+    result += [grids.finest.surface_prolongation] * (grids.finest.surface_prolongation is not None)
+    assert {(m.indices.dtype, m.indptr.dtype) for m in result} == {(np.dtype(np.int32),) * 2}
 
 
 @pytest.mark.parametrize("call, takes", [

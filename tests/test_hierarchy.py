@@ -1,23 +1,30 @@
-"""Hierarchies: constructors, the table, and what is refused."""
+"""Hierarchies: constructors, the table, other problems, levels that come and go; and what is refused."""
 
 import pickle
+import warnings
 from dataclasses import replace
+from functools import cache
 from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from refused import refused
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.mesh import check_mesh
+from adaptmg import level as meshed_levels
+from adaptmg.mesh import check_mesh, structured
 
-COARSE = am.mesh.structured(am.cases.greco_bar().domain, 4)
+BAR, JOINT = am.cases.greco_bar(), am.cases.dovetail()
+COARSE = structured(BAR.domain, 4)
 
 
-@pytest.fixture(scope="module")
-def problem():
-    return am.cases.greco_bar()
+@cache
+def three():
+    return am.Hierarchy.uniform(BAR, divisions=(2, 4, 8))
 
 
 class Nearest:
@@ -37,10 +44,10 @@ def affine(points):
     lambda p: am.Hierarchy.uniform(p, divisions=(2, 4, 8)),
     lambda p: am.Hierarchy.uniform(p, divisions=(3, 5, 8), diagonal="alternating"),
     lambda p: am.Hierarchy.graded(p, sizes=(20e-3, 10e-3), contact_ratio=3),
-    lambda p: am.Hierarchy.bisected(p, am.mesh.structured(p.domain, 4), levels=2),
+    lambda p: am.Hierarchy.bisected(p, structured(p.domain, 4), levels=2),
     lambda p: am.Hierarchy.from_meshes(p, [am.mesh.graded(p.domain, s, "bottom").source for s in (20e-3, 9e-3)])])
-def test_prolongations_reproduce_affine_fields(problem, make):
-    grids = make(problem)
+def test_prolongations_reproduce_affine_fields(make):
+    grids = make(BAR)
     for coarse, fine in zip(grids.levels[:-1], grids.levels[1:], strict=True):
         assert fine.prolongation @ affine(coarse.mesh.points) == pytest.approx(affine(fine.mesh.points), rel=1e-10)
         assert fine.mesh_ratio >= 1
@@ -60,8 +67,8 @@ def test_sizes_have_defaults_that_follow_bodies_and_contact():
     assert len(plain.finest.discrete.contact) < len(bar.finest.discrete.contact) / 2
 
 
-def test_paper_grids(problem):
-    grids = am.Hierarchy.uniform(problem, divisions=(4, 8, 16, 32))
+def test_paper_grids():
+    grids = am.Hierarchy.uniform(BAR, divisions=(4, 8, 16, 32))
     assert [row["nodes"] for row in grids.table()] == [25, 81, 289, 1089]
     assert all(text in repr(grids) for text in ("1089", "GRECO", f"{grids.operator_complexity:.3f}"))
     assert set(grids.timings) == {"mesh", "assembly", "transfer"} and min(grids.timings.values()) > 0
@@ -70,51 +77,66 @@ def test_paper_grids(problem):
     assert [row["nodes"] for row in part.table()] == [81, 289]
     with pytest.raises(AttributeError, match="the coarsest level has no prolongation"):
         _ = part[0].prolongation
-    with pytest.raises(ValueError, match="coarsest and finest"):
-        grids.truncated(coarsest=2, finest=1)
 
 
-def test_contact_rows_stay_on_the_contact_boundary(problem):
+def test_contact_rows_stay_on_the_contact_boundary():
     sizes = (20e-3, 8e-3)
-    grids = am.Hierarchy.graded(problem, sizes=sizes, transfer=Nearest())
+    grids = am.Hierarchy.graded(BAR, sizes=sizes, transfer=Nearest())
     contact = grids[1].discrete.contact.nodes
     x = affine(grids[1].mesh.points)
     found = grids[1].prolongation @ affine(grids[0].mesh.points)
     assert found[contact] == pytest.approx(x[contact], rel=1e-12)
     assert np.abs(found - x).max() > 1e-3
-    untouched = am.Hierarchy.graded(problem, sizes=sizes, transfer=Nearest(), contact_rows=False)
+    untouched = am.Hierarchy.graded(BAR, sizes=sizes, transfer=Nearest(), contact_rows=False)
     assert (np.diff(untouched[1].prolongation.indptr) == 1).all()
 
 
+def test_more_levels_of_bisection_that_hardly_help_are_warned_of():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "hardly" not in repr(am.Hierarchy.bisected(BAR, structured(BAR.domain, 8), 2))
+    with pytest.warns(UserWarning, match=r"levels=4: .*elements of up to 0.00707 m.*hardly help") as said:
+        assert "more levels hardly help" in repr(am.Hierarchy.bisected(BAR, structured(BAR.domain, 8), 4))
+    assert said[0].filename == __file__
+
+
 RENAMED = replace(COARSE, boundaries=("south", "east", "north", "west"), source=None)
-BLOCKS = [am.mesh.structured(am.Box(width=1, depth=1, height=1), n) for n in (2, 4)]
+BLOCKS = [structured(am.Box(width=1, depth=1, height=1), n) for n in (2, 4)]
 
 
-def _with_a_wrong_prolongation(problem):
-    first, second = am.Hierarchy.uniform(problem, divisions=(2, 4)).levels
+def _with_a_wrong_prolongation():
+    first, second, _ = three().levels
     return am.Hierarchy((first, am.Level(second.discrete, second.mesh, sparse.eye_array(3, format="csr"))))
 
 
-@pytest.mark.parametrize(("call", "error", "message"), [
-    (lambda p: am.Hierarchy.uniform(replace(p, domain=None), divisions=(2, 4)), ValueError, "domain is None"),
-    (lambda p: am.Hierarchy.graded(p, (20e-3, 10e-3), transfer="interpolation"), TypeError,
+test_refusals = refused(
+    (lambda: am.Hierarchy.uniform(replace(BAR, domain=None), divisions=(2, 4)), "domain is None"),
+    (lambda: am.Hierarchy.graded(BAR, (20e-3, 10e-3), transfer="interpolation"), TypeError,
      "transfer must be a transfer, which offers build"),
-    (lambda p: am.Hierarchy(()), ValueError, "levels is empty"),
-    (lambda p: am.Hierarchy.graded(p, (20e-3, 10e-3), transfer=SimpleNamespace(
-        build=lambda coarse, fine: sparse.eye_array(3))), ValueError, "must return a matrix of shape"),
-    (_with_a_wrong_prolongation, ValueError, "prolongation must have shape"),
-    (lambda p: am.Hierarchy.from_meshes(p, RENAMED), ValueError, "'bottom', used for contact, does not exist"),
-    (lambda p: am.Hierarchy.from_meshes(p, BLOCKS), ValueError, "3D"),
+    (lambda: am.Hierarchy(()), "levels is empty"),
+    (lambda: am.Hierarchy.graded(BAR, (20e-3, 10e-3), transfer=SimpleNamespace(
+        build=lambda coarse, fine: sparse.eye_array(3))), "must return a matrix of shape"),
+    (_with_a_wrong_prolongation, "prolongation must have shape"),
+    (lambda: am.Hierarchy.from_meshes(BAR, RENAMED), "'bottom', used for contact, does not exist"),
+    (lambda: am.Hierarchy.from_meshes(BAR, BLOCKS), "3D"),
     # bodies that touch have nodes at the same places
-    (lambda p: am.Hierarchy.graded(am.cases.dovetail(), (10e-3, 6e-3), contact_ratio=2, transfer=Nearest()), ValueError,
+    (lambda: am.Hierarchy.graded(JOINT, (10e-3, 6e-3), contact_ratio=2, transfer=Nearest()),
      r"lets node \d+ of body '\w+' follow body '\w+': build the rows of each body"),
-])
-def test_refusals(problem, call, error, message):
-    with pytest.raises(error, match=message):
-        call(problem)
+    (lambda: three().truncated(coarsest=2, finest=1), "coarsest and finest"),
+    # other problems on the same meshes
+    (lambda: three().with_problem(JOINT), "another domain, Assembly"),
+    (lambda: three().with_problem(replace(BAR, contact=am.Contact("left", am.Plane((0, 0), (1, 0))))),
+     r"contact on .*, but these meshes were made for contact on"),
+    (lambda: am.Hierarchy.single(three().finest.discrete).with_problem(BAR),
+     r"with_problem: these levels .* are not made of meshes"),
+    # levels that come and go
+    (lambda: three().append(COARSE), "coarse to fine"), (lambda: three().without(2), "level"),
+    (lambda: three().without(-1), "level"), (lambda: three().append(3), TypeError, "mesh"),
+    (lambda: am.Hierarchy.single(three().finest.discrete).append(COARSE), "from_meshes"),
+    (lambda: am.Hierarchy.algebraic(three().finest.discrete, max_coarse=20).append(COARSE), "from_meshes"))
 
 
-def test_nothing_is_made_that_nobody_asked_for(problem, monkeypatch):
+def test_nothing_is_made_that_nobody_asked_for(monkeypatch):
     def refuse(*_args, **_kwargs):
         raise AssertionError("made without being asked for")
 
@@ -122,7 +144,7 @@ def test_nothing_is_made_that_nobody_asked_for(problem, monkeypatch):
                  "discrete.discretise.rigid_motions"):
         module, name = name.rsplit(".", 1)
         monkeypatch.setattr(import_module(f"adaptmg.{module}"), name, refuse)
-    grids = am.Hierarchy.uniform(problem, divisions=(2, 4, 8))
+    grids = am.Hierarchy.uniform(BAR, divisions=(2, 4, 8))
     mesh, discrete = grids.finest.mesh, grids.finest.discrete
     for asked in (lambda: mesh.source, lambda: discrete.near_nullspace, lambda: repr(grids)):
         with pytest.raises(AssertionError, match="without being asked"):
@@ -130,7 +152,7 @@ def test_nothing_is_made_that_nobody_asked_for(problem, monkeypatch):
     monkeypatch.undo()
     assert mesh.source is mesh.source and mesh.source.nv == 81 and grids[1].mesh_ratio == pytest.approx(2)
     assert discrete.near_nullspace is discrete.near_nullspace and discrete.near_nullspace.shape == (162, 3)
-    back = pickle.loads(pickle.dumps(am.Hierarchy.uniform(problem, divisions=(2, 4, 8))))
+    back = pickle.loads(pickle.dumps(am.Hierarchy.uniform(BAR, divisions=(2, 4, 8))))
     np.testing.assert_array_equal(back.finest.discrete.near_nullspace, discrete.near_nullspace)
     assert back[1].mesh_ratio == pytest.approx(2)
 
@@ -149,9 +171,9 @@ def test_what_the_package_assembles_passes_the_checks_of_a_strangers_problem(mak
         check_mesh(replace(level.mesh, source=None))
 
 
-def test_indices_that_kernels_follow_cannot_be_written(problem):
+def test_indices_that_kernels_follow_cannot_be_written():
     """Compiled code would read outside of its arrays; a user's own matrices stay open, as they are copied."""
-    grids = am.Hierarchy.uniform(problem, (2, 4, 8))
+    grids = three()
     discrete = grids.finest.discrete
     given = [sparse.csr_array(level.prolongation, copy=True) for level in grids[1:]]
     bare = am.DiscreteProblem(matrix=discrete.matrix.copy(), load=discrete.load, fixed=discrete.fixed, law=discrete.law,
@@ -166,40 +188,109 @@ def test_indices_that_kernels_follow_cannot_be_written(problem):
     given[-1].indices[0] = 0
 
 
-def _same_levels(a: am.Hierarchy, b: am.Hierarchy) -> None:
-    for one, two in zip(a.levels, b.levels, strict=True):
-        matrices = [(level.matrix, getattr(level, "prolongation", None), level.surface_prolongation)
-                    for level in (one, two)]
-        for x, y in zip(*matrices, strict=True):
-            assert (x is None) == (y is None)
-            for part in () if x is None else ("indptr", "indices", "data"):
-                np.testing.assert_array_equal(getattr(x, part), getattr(y, part))
-        n = len(one.discrete.contact)
-        np.testing.assert_array_equal(one.discrete.law.bounds(n), two.discrete.law.bounds(n))
-        for name in ("load", "fixed", "fixed_values"):
-            np.testing.assert_array_equal(getattr(one.discrete, name), getattr(two.discrete, name))
-        for name in ("nodes", "normals", "gaps", "weights", "boundary", "slip_reference"):
-            np.testing.assert_array_equal(getattr(one.discrete.contact, name), getattr(two.discrete.contact, name))
+def same(a: am.Hierarchy, b: am.Hierarchy) -> bool:
+    """Bit for bit."""
+    def equal(x, y) -> bool:
+        if x is None or y is None:
+            return x is y
+        if hasattr(x, "indptr"):
+            return all(np.array_equal(getattr(x, part), getattr(y, part)) for part in ("indptr", "indices", "data"))
+        return np.array_equal(x, y)
+
+    def parts(level):
+        discrete, contact = level.discrete, level.discrete.contact
+        return (level.matrix, getattr(level, "prolongation", None), level.surface_prolongation, discrete.load,
+                discrete.fixed, discrete.fixed_values, *discrete.law.bounds(len(contact)), contact.nodes,
+                contact.normals, contact.gaps, contact.weights, contact.boundary, contact.slip_reference)
+
+    return len(a) == len(b) and all(equal(x, y) for one, two in zip(a.levels, b.levels, strict=True)
+                                    for x, y in zip(parts(one), parts(two), strict=True))
 
 
 def test_another_problem_on_the_same_meshes_is_what_building_anew_makes():
     bar = am.cases.greco_bar
     springs = [am.Symmetry("left"), am.Spring("right", normal=1e9)]
-    joint = am.cases.dovetail()
-    stiffer = {name: am.PlaneStrain(young=3e11, poisson=0.3) for name in joint.bodies}
+    stiffer = {name: am.PlaneStrain(young=3e11, poisson=0.3) for name in JOINT.bodies}
     for first, others in ((bar(), (bar(law=am.Coulomb(0.2)), bar(top_pressure=1e7), bar(young=1e11),
                                    replace(bar(), supports=springs), replace(bar(), law=am.Frictionless()))),
-                          (joint, (replace(joint, law=am.Coulomb(0.7)), replace(joint, law=am.Frictionless()),
-                                   replace(joint, material=stiffer)))):
+                          (JOINT, (replace(JOINT, law=am.Coulomb(0.7)), replace(JOINT, law=am.Frictionless()),
+                                   replace(JOINT, material=stiffer)))):
         old = am.Hierarchy.graded(first, (first.domain.upper.max() / 4, first.domain.upper.max() / 8))
         for k, other in enumerate(others):
             new = old.with_problem(other)
-            _same_levels(new, am.Hierarchy.from_meshes(other, [level.mesh for level in old.levels]))
+            assert same(new, am.Hierarchy.from_meshes(other, [level.mesh for level in old.levels]))
             assert new.problem is other and new.finest.prolongation is old.finest.prolongation
             assert k > 0 or new.finest.matrix is old.finest.matrix
-    with pytest.raises(ValueError, match="another domain, Rectangle"):
-        old.with_problem(bar())
-    with pytest.raises(ValueError, match=r"contact on .*, but these meshes were made for contact on"):
-        old.with_problem(replace(joint, contact=am.Contact(joint.contact_boundaries[0], am.Plane((0, 0), (0, 1)))))
-    with pytest.raises(ValueError, match=r"with_problem: these levels .* are not made of meshes"):
-        am.Hierarchy.single(old.finest.discrete).with_problem(joint)
+
+# -- hierarchies that grow and shrink --------------------------------------------------------------------------------
+
+SIZES = (3, 4, 6, 9, 14)
+
+
+@cache
+def meshes_of(problem):
+    if problem is BAR:
+        return [structured(BAR.domain, n) for n in SIZES]
+    return [am.mesh.graded(problem.domain, size) for size in (10e-3, 6e-3, 4e-3)]
+
+
+@pytest.mark.parametrize("problem", [BAR, JOINT], ids=["bar", "pair"])
+@pytest.mark.parametrize("transfer", [None, am.PseudoL2()])
+@pytest.mark.parametrize("rows", [True, False])
+def test_append_equals_from_meshes(problem, transfer, rows):
+    meshes = meshes_of(problem)
+    grown = am.Hierarchy.from_meshes(problem, meshes[:1], transfer, contact_rows=rows)
+    for mesh in meshes[1:]:
+        grown = grown.append(mesh)
+    assert same(grown, am.Hierarchy.from_meshes(problem, meshes, transfer, contact_rows=rows))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.sets(st.integers(0, len(SIZES) - 2)))
+@example({0})
+def test_without_equals_from_the_meshes_that_are_left(dropped):
+    problem, meshes = BAR, meshes_of(BAR)
+    rest = am.Hierarchy.from_meshes(problem, meshes)
+    for level in sorted(dropped, reverse=True):
+        rest = rest.without(level)
+    assert same(rest, am.Hierarchy.from_meshes(problem, [m for k, m in enumerate(meshes) if k not in dropped]))
+
+
+def test_nothing_is_discretised_or_located_twice(monkeypatch):
+    problem, meshes = BAR, meshes_of(BAR)
+    grids = am.Hierarchy.from_meshes(problem, meshes[:3])
+    made, joins = [], []
+    # a sound mesh is not checked again
+    monkeypatch.setattr("adaptmg.mesh.soundness._check_closed", lambda *a: pytest.fail("checked again"))
+    monkeypatch.setattr("adaptmg.hierarchy.level_of", lambda *a: made.append(a) or meshed_levels.level_of(*a))
+    monkeypatch.setattr("adaptmg.hierarchy.joined", lambda *a: joins.append(a) or meshed_levels.joined(*a))
+    grown = grids.append(meshes[3])
+    assert (len(made), len(joins)) == (1, 1)
+    assert all(a is b for a, b in zip(grown.levels, grids.levels, strict=False))
+    less = grown.without(1)
+    assert (len(made), len(joins)) == (1, 2)
+    assert less[0] is grids[0] and less[2] is grown[3] and less[1].discrete is grids[2].discrete
+    assert len(grids) == 3  # what there was stays
+    assert all(grown.timings[name] >= grids.timings[name] for name in grids.timings)
+    assert repr(grown.append(meshes[4])).count("grown") == 1
+
+
+def test_small_elements_far_from_the_origin_stay_nested():
+    """At a corner where elements have 1e-7 of the size of the body, midpoints of edges lie off them by rounding."""
+    a = 0.0193
+    shape = am.Polygon(vertices=((0, 0), (a, 0), (a, a / 2), (2 * a, a / 2), (2 * a, 1.5 * a), (0, 1.5 * a)),
+                       boundaries=("foot", "side", "ledge", "flank", "top", "symmetry"))
+    problem = am.ContactProblem(
+        name="corner", domain=shape, material=am.PlaneStrain(young=5e10, poisson=0.2), law=am.Coulomb(0.3),
+        contact=am.Contact("foot", am.Plane((0, 0), (0, 1))), supports=(am.Support("symmetry", x=0.0),),
+        loads=(am.Pressure("top", 1e6),))
+    hierarchy = am.Hierarchy.graded(problem, (a / 1.5,))
+    for _ in range(22):
+        mesh = hierarchy.finest.mesh
+        here = np.linalg.norm(mesh.points - [a, 0], axis=1) < 1e-12
+        every = am.Estimate(squares=np.ones(len(mesh.elements)), norm=1.0)
+        hierarchy = hierarchy.append(am.Bisect().refine(problem, mesh, every, here[mesh.elements].any(axis=1)))
+    assert hierarchy.finest.mesh.element_sizes.min() < 3e-7 * a
+    assert all(level.prolongation.data.min() > 0.49 for level in hierarchy.levels[1:])
+    result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6))
+    assert not result.certificate().contradictions(1e-6)

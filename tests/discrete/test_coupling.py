@@ -1,9 +1,12 @@
 """Relative coordinates: inverse, duals, symmetric products, prolongations, refusals; all against dense algebra."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refused import refused
 from scipy import sparse
 
 import adaptmg as am
@@ -95,16 +98,6 @@ class TestTransformation:
         np.testing.assert_allclose(one, other, atol=1e-10 * max(1, np.abs(other).max()))
 
 
-class TestRefusals:
-    @pytest.mark.parametrize(("weights", "fixed"), [
-        (sparse.csr_array((np.ones(3), ([0, 1, 2], [1, 2, 0])), shape=(4, 4)), np.zeros(8, dtype=bool)),
-        (sparse.csr_array(np.diag([1.0, 0, 0])), np.zeros(6, dtype=bool)),
-        (sparse.csr_array((np.ones(2), ([0, 1], [1, 0])), shape=(2, 2)), np.ones(4, dtype=bool))])
-    def test_circles(self, weights, fixed):
-        with pytest.raises(ValueError, match=r"circle.*exchange slave and master"):
-            Coupling(weights, fixed)
-
-
 class TestDiscreteProblem:
     def springs(self):
         """Two chains of three nodes; node 3 (slave) faces nodes 1 and 2."""
@@ -126,29 +119,28 @@ class TestDiscreteProblem:
         fields = np.column_stack([problem.physical(mode).ravel() for mode in problem.near_nullspace.T])
         assert np.linalg.lstsq(fields, turn, rcond=None)[1] == pytest.approx(0, abs=1e-20)
 
-    def test_another_coupling_is_refused(self):
-        problem = am.DiscreteProblem.coupled(**self.springs())
-        with pytest.raises(ValueError, match=r"other fixed dofs: use DiscreteProblem.coupled"):
-            am.DiscreteProblem(matrix=problem.matrix, load=problem.load, fixed=np.zeros(12, dtype=bool),
-                               law=problem.law, contact=problem.contact, coupling=problem.coupling)
-        with pytest.raises(ValueError, match="masters must go with names"):
-            am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("a", "b"))
-
-    def test_a_fixed_normal_component_of_a_slave_is_refused(self):
+    def test_a_fixed_component_of_a_slave_along_the_surface_is_allowed(self):
         parts = self.springs()
-        parts["fixed"][6] = True  # along the surface: allowed
+        parts["fixed"][6] = True
         assert not am.DiscreteProblem.coupled(**parts).coupling.physical(np.eye(12))[6, 2:6].any()
-        parts["fixed"][7] = True
-        with pytest.raises(ValueError, match=r"normal part is fixed at contact node 0 \(node 3.*free the component"):
-            am.DiscreteProblem.coupled(**parts)
 
-    @pytest.mark.parametrize(("weights", "error", "match"), [
-        (sparse.csr_array(([0.9], ([3], [1])), shape=(6, 6)), ValueError, r"sum 1, got 0.9 at node 3"),
-        (sparse.csr_array(([np.nan], ([3], [1])), shape=(6, 6)), ValueError, "weights must be finite"),
-    ])
-    def test_weights_that_do_not_fit_are_refused(self, weights, error, match):
-        with pytest.raises(error, match=match):
-            am.DiscreteProblem.coupled(**self.springs() | {"weights": weights})
+    def other_coupling(self):
+        problem = am.DiscreteProblem.coupled(**self.springs())
+        return replace(problem, fixed=np.zeros(12, dtype=bool))
+
+    test_refused = staticmethod(refused(
+        (lambda: TestDiscreteProblem().other_coupling(), r"other fixed dofs: use DiscreteProblem.coupled"),
+        (lambda: am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("a", "b")),
+         "masters must go with names"),
+        (lambda: am.DiscreteProblem.coupled(**TestDiscreteProblem().springs() | {"fixed": np.arange(12) == 7}),
+         r"normal part is fixed at contact node 0 \(node 3.*free the component"),
+        *((lambda value=value: am.DiscreteProblem.coupled(**TestDiscreteProblem().springs() | {
+            "weights": sparse.csr_array(([value], ([3], [1])), shape=(6, 6))}), message)
+          for value, message in ((0.9, r"sum 1, got 0.9 at node 3"), (np.nan, "weights must be finite"))),
+        *((lambda rows=rows, columns=columns, n=n: Coupling(
+            sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)), np.zeros(2 * n, dtype=bool)),
+           r"circle.*exchange slave and master")
+          for rows, columns, n in (([0, 1, 2], [1, 2, 0], 4), ([0], [0], 3), ([0, 1], [1, 0], 2)))))
 
     def test_every_system_of_unknowns_there_and_back(self):
         values = np.where(np.arange(12) < 2, 0.3, 0.0)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from mortar import mortar_3d, node_to_node
+from refused import refused
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 from uncompiled import uncompile
@@ -88,35 +89,14 @@ def test_flat_interfaces_pass_the_patch_test(low, high, sizes):
     np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-12)
     np.testing.assert_allclose(interface.gaps, 0.2, rtol=1e-12)
     covered = np.prod(np.minimum(high, 1.0) - np.maximum(low, 0.0))
-    assert interface.weights.sum() == pytest.approx(covered, rel=1e-12)
-    np.testing.assert_allclose(total(interface), master_integrals(flat, master, low, high), atol=1e-12 * covered)
-
-
-def master_integrals(points, facets, low, high):
-    """Integrals of the shape functions of plane facets over a rectangle, by cutting along its sides."""
-    result = np.zeros(len(points))
-    for facet in facets:
-        pieces = [np.column_stack([points[facet, :2], np.eye(3)])]
-        for axis in (0, 1):
-            for bound, sign in ((low[axis], 1), (high[axis], -1)):
-                pieces = [part for piece in pieces for part in cut(piece, sign * (piece[:, axis] - bound))]
-        for piece in pieces:
-            area = 0.5 * abs(np.linalg.det(piece[1:, :2] - piece[0, :2]))
-            result[facet] += area * piece[:, 2:].mean(axis=0)
-    return result
-
-
-def cut(triangle, values):
-    """Triangles of the part of a triangle (rows: any affine data) with values >= 0."""
-    corners = []
-    for i in range(3):
-        j = (i + 1) % 3
-        if values[i] >= 0:
-            corners.append(triangle[i])
-        if values[i] * values[j] < 0:
-            t = values[i] / (values[i] - values[j])
-            corners.append((1 - t) * triangle[i] + t * triangle[j])
-    return [np.array([corners[0], *corners[i:i + 2]]) for i in range(1, len(corners) - 1)]
+    assert interface.weights.sum() == pytest.approx(covered, rel=1e-12) == total(interface).sum()
+    # forces on the master: resultant, moments, and each one where the slave covers all that touches the node
+    forces, middle = total(interface), np.mean([np.minimum(high, 1.0), np.maximum(low, 0.0)], axis=0)
+    np.testing.assert_allclose(forces @ flat[:, :2], covered * middle, atol=1e-12)
+    within = ((flat[:, :2] >= low) & (flat[:, :2] <= high)).all(axis=1)
+    alone = np.setdiff1d(np.unique(master[within[master].all(axis=1)]), master[~within[master].all(axis=1)])
+    assert len(alone) >= 3
+    np.testing.assert_allclose(forces[alone], lumped(flat, master)[alone], atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 3, 25])
@@ -223,40 +203,36 @@ def test_any_soup_of_masters_is_sorted_by_sight():
         assert interface.weights @ interface.gaps == pytest.approx(0.5 * np.where(seen, nearest, 0).mean(), abs=0.005)
 
 
-def test_reach_and_depth():
-    slave, low = square(30, 1, up=DOWN), square(30, 2, up=UP, z=-0.2)
-    points, first, second = joined(slave, low)
-    assert couple(points, first, second, reach=0.21).gaps == pytest.approx(0.2)
-    with pytest.raises(ValueError, match=NEVER_FACING):
-        couple(points, first, second, reach=0.19)
-    # overlap is found too, but not as deep as gaps are wide
-    points[second.min():, 2] = 0.2
-    assert couple(points, first, second).gaps == pytest.approx(-0.2)
-    points[second.min():, 2] = 0.8
-    with pytest.raises(ValueError, match=NEVER_FACING):
-        couple(points, first, second)
-    assert couple(points, first, second, reach=1.0).gaps == pytest.approx(-0.8)
+def facing(height, reach=None, turn=1):
+    """A surface and a parallel one, whose facets may be turned."""
+    points, slave, master = joined(square(30, 1, up=DOWN), square(30, 2, up=UP, z=height))
+    return couple(points, slave, master[:, ::turn], reach=reach)
 
 
-@pytest.mark.parametrize("width", [1e-3, 1e-4, 1e-6])
-def test_a_narrow_strip_of_coverage_is_stable(width):
-    flat, slave, master = joined(square(30, 7, up=DOWN, z=0.1), square(30, 8, up=UP, low=(-1, -0.1), high=(width, 1.1)))
+# overlap is found too, but not as deep as gaps are wide
+@pytest.mark.parametrize(("height", "reach"), [(-0.2, 0.21), (0.2, None), (0.8, 1.0)])
+def test_reach_and_depth(height, reach):
+    assert facing(height, reach).gaps == pytest.approx(-height)
+
+
+def inward():
+    points, slave, master = joined(square(10, 1, up=DOWN, z=0.1), square(10, 2, up=UP))
+    return mortar_3d(points, slave, master, -surface_normals(points, slave))
+
+
+test_refused = refused(
+    (lambda: facing(-0.2, 0.19), NEVER_FACING), (lambda: facing(0.8), NEVER_FACING),
+    (lambda: facing(-0.2, turn=-1), NEVER_FACING), (inward, "normals must point out"),
+    (lambda: couple(*joined(square(9, 1, up=DOWN, low=(5, 0), high=(6, 1)), square(9, 2, up=UP, z=-0.1))),
+     NEVER_FACING))
+
+
+def test_a_narrow_strip_of_coverage_is_stable():
+    flat, slave, master = joined(square(30, 7, up=DOWN, z=0.1), square(30, 8, up=UP, low=(-1, -0.1), high=(1e-6, 1.1)))
     interface = couple(rigid(flat, 3), slave, master)
     np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-10)
     np.testing.assert_allclose(interface.gaps, 0.1, atol=1e-10)
-    assert interface.weights.sum() == pytest.approx(width, rel=1e-2)
-
-
-def test_what_does_not_fit_is_refused():
-    points, slave, master = joined(square(10, 1, up=DOWN, z=0.1), square(10, 2, up=UP))
-    normals = surface_normals(points, slave)
-    with pytest.raises(ValueError, match=NEVER_FACING):
-        mortar_3d(points, slave, master[:, ::-1], normals)
-    with pytest.raises(ValueError, match=NEVER_FACING):
-        mortar_3d(points + np.r_[np.tile([5.0, 0, 0], (slave.max() + 1, 1)), 0 * points[slave.max() + 1:]], slave,
-                  master, normals)
-    with pytest.raises(ValueError, match="normals must point out"):
-        mortar_3d(points, slave, master, -normals)
+    assert interface.weights.sum() == pytest.approx(1e-6, rel=1e-2)
 
 
 def test_kernels_without_jit(monkeypatch):

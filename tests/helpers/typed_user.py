@@ -17,7 +17,7 @@ def posed() -> am.ContactProblem:
 
 
 def solve() -> float:
-    """Solvers and their results."""
+    """Solvers, their results, and matrices of the user."""
     grids = am.Hierarchy.graded(posed(), sizes=(0.5, 0.3), contact_ratio=2, transfer=am.PseudoL2())
     for solver in (am.Multigrid(correction=am.Monotone(), smoother=am.ProjectedGaussSeidel(omega=1.2)),
                    am.Multigrid(correction=am.PaperCorrection()), am.ActiveSet(linear=am.AMG()), am.SingleGrid()):
@@ -25,34 +25,23 @@ def solve() -> float:
         am.plot.history({"a": result}, against="cycle").savefig("history.png", dpi=100)
         print(result.status.name, result.history["residual"][-1], result.certificate().energy_error)
     result = am.solve(grids, am.FullMultigrid(rtol=1e-6))
-    am.export.vtk(result, "block.vtu")
     moved = result.displacement[result.mesh.boundary_nodes("left")] + result.resultant("left").moment
-    print(grids.finest.discrete.matrix.nnz, grids[1].prolongation.nnz, grids[0].mesh.points.max(), moved)
-    print(result.probe([(0.1, 0.2)]), result.resultant("bottom").force, result.von_mises().max())
+    print(grids.finest.discrete.matrix.nnz, grids[1].prolongation.nnz, result.probe([(0.1, 0.2)]), moved)
+    contact = am.ContactNodes(nodes=[0], normals=[[0.0, -1.0]], gaps=[0.0])
+    discrete = am.DiscreteProblem(matrix=sparse.eye_array(2), load=[0.1, -1.0], fixed=[False, False],
+                                  law=am.Tresca([1.0]), contact=contact)
+    print(am.solve(discrete, start=np.zeros((1, 2))).cycles)
     steps = am.solve_path(grids, am.LoadPath({"top": [0.5, 1.0]}))
     am.plot.load_history(list(steps), [0.5, 1.0], {"p": lambda step: step.contact.pressure.max()})
     return max(float(step.contact.slip.max()) for step in steps)
 
 
-def bare() -> am.Result:
-    """Matrices of the user."""
-    contact = am.ContactNodes(nodes=[0], normals=[[0.0, -1.0]], gaps=[0.0])
-    discrete = am.DiscreteProblem(matrix=sparse.eye_array(2), load=[0.1, -1.0], fixed=[False, False],
-                                  law=am.Tresca([1.0]), contact=contact)
-    return am.solve(discrete, start=np.zeros((1, 2)))
-
-
-def adapt() -> None:
-    """Meshes, estimates and loops."""
+def adapt() -> float:
+    """Meshes, estimates, loops and studies."""
     mesh = am.MeshArrays([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], [[0, 1], [1, 2], [2, 0]], [0, 1, 1], ("foot", "rest"))
     print(mesh.n_nodes, am.Estimate(squares=[1.0], norm=2).total)
     goal = am.Goal(am.ContactForce("contact"))
     for step in am.adapt(posed(), 0.5, indicator=goal, mark=am.Maximum(0.5), engine=am.Bisect(), max_nodes=100):
         am.plot.deformation(step.result, stress=True, window=(0, 1, 0, 1))
-        print(step.estimate.relative, step.nodes)
-
-
-def study() -> float:
-    """A sweep and its table."""
     table = am.Study(lambda n: {"square": n * n}, {"n": [1, 2]}).run(workers=2)
     return float(table.query("n > 1")["square"].max())

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from refused import refused
 
-from adaptmg.mesh import MeshArrays, SizeNear, bisect, check_mesh, graded, merged, quality, sized, structured
+from adaptmg.mesh import MeshArrays, SizeNear, check_mesh, graded, merged, quality, sized, structured
 from adaptmg.mesh.domains import distance_to_boundaries, require_simple
 from adaptmg.problem import Assembly, Box, Outline, Rectangle
 
@@ -53,19 +54,11 @@ class TestMerged:
 
 
 class TestOutline:
-    @pytest.mark.parametrize("size", [1.0, 0.2])
-    def test_nodes_lie_on_the_circle(self, size):
-        mesh = graded(DISK, size)
-        assert mesh.boundaries == ("a", "b") and mesh.bodies == ("body",)
-        assert max(off_circle(mesh, name, (3, 5), 1) for name in "ab") < 1e-15
-        assert lengths(mesh, "a").max() < 2 * math.sin(math.radians(35 / 2))
-        for vertex in DISK.vertices:
-            assert (mesh.points == vertex).all(axis=1).sum() == 1
-
     @pytest.mark.parametrize("ratio", [1, 100])
     def test_mixed_edges(self, ratio):
         mesh = check_mesh(graded(RING, 0.4, "in", ratio), RING.boundaries)
-        assert mesh.boundaries == ("x", "out", "top", "y", "in")
+        assert mesh.boundaries == ("x", "out", "top", "y", "in") and mesh.bodies == ("body",)
+        assert all((mesh.points == vertex).all(axis=1).sum() == 1 for vertex in RING.vertices)
         inner = mesh.points[mesh.boundary_nodes("in")]
         arc = inner[inner[:, 0] > 0]
         straight = inner[inner[:, 0] <= 0]
@@ -90,18 +83,14 @@ class TestOutline:
         assert require_simple(RING) is None and require_simple(DISK) is None
 
 
-class TestGradedAssembly:
-    def test_each_body_is_meshed_apart(self):
-        mesh = graded(TWO, {"upper": 0.2, "lower": 0.4}, ("upper.bottom", "lower.top"), {"upper": 4, "lower": 2})
-        assert check_mesh(mesh, TWO.boundaries) is mesh and mesh.bodies == TWO.bodies
-        alone = merged({"upper": graded(UPPER, 0.2, "bottom", 4), "lower": graded(LOWER, 0.4, "top", 2)})
-        np.testing.assert_array_equal(mesh.points, alone.points)
-        np.testing.assert_array_equal(mesh.elements, alone.elements)
-        assert mesh.source.nv == mesh.n_nodes
-
-    def test_one_ratio_leaves_bodies_without_contact_alone(self):
-        mesh = graded(TWO, 0.4, "upper.bottom", 8)
-        assert lengths(mesh, "upper.bottom").max() < 0.08 and lengths(mesh, "lower.top").min() > 0.2
+def test_each_body_is_meshed_apart_and_without_contact_alone():
+    mesh = graded(TWO, {"upper": 0.2, "lower": 0.4}, ("upper.bottom", "lower.top"), {"upper": 4, "lower": 2})
+    assert check_mesh(mesh, TWO.boundaries) is mesh and mesh.bodies == TWO.bodies and mesh.source.nv == mesh.n_nodes
+    alone = merged({"upper": graded(UPPER, 0.2, "bottom", 4), "lower": graded(LOWER, 0.4, "top", 2)})
+    np.testing.assert_array_equal(mesh.points, alone.points)
+    np.testing.assert_array_equal(mesh.elements, alone.elements)
+    mesh = graded(TWO, 0.4, "upper.bottom", 8)
+    assert lengths(mesh, "upper.bottom").max() < 0.08 and lengths(mesh, "lower.top").min() > 0.2
 
 
 class TestSizedAssembly:
@@ -126,34 +115,19 @@ class TestSizedAssembly:
         np.testing.assert_allclose(field(np.array([[0.5, 0], [2, 0], [4, 3]])), [0.1, 0.6, 1.1])
         assert hash(field) == hash(SizeNear(((0.0, 0.0), (4.0, 0.0)), size=0.1, radius=1.0, grading=0.5))
 
-class TestBisected:
-    @pytest.mark.parametrize("assembly", [TWO, BOXES], ids=["2D", "3D"])
-    def test_bodies_stay(self, assembly):
-        coarse = structured(assembly, 2)
-        fine, parents = bisect(coarse, coarse.element_body == 1)
-        assert fine.bodies == assembly.bodies and fine.boundaries == assembly.boundaries
-        np.testing.assert_array_equal(fine.points[:coarse.n_nodes], coarse.points)
-        # no parent of a new node lies on the body that was not marked
-        first = np.unique(coarse.elements[coarse.element_body == 0])
-        assert fine.n_nodes > coarse.n_nodes and not np.isin(parents[coarse.n_nodes:], first).any()
 
-
-@pytest.mark.parametrize(("call", "error", "message"), [
-    (lambda: merged({}), ValueError, "meshes is empty"),
-    (lambda: merged({"a": structured(TWO, 1)}), ValueError, r"has 2 bodies \(upper, lower\)"),
-    (lambda: merged({"a": structured(UPPER, 1), "b": structured(BOXES.parts["a"], 1)}), ValueError, "same dimension"),
-    (lambda: structured(TWO, {"upper": 2}), ValueError, "divisions must name each body once: the bodies are 'upper'"),
+test_refuses = refused(
+    (lambda: merged({}), "meshes is empty"),
+    (lambda: merged({"a": structured(TWO, 1)}), r"has 2 bodies \(upper, lower\)"),
+    (lambda: merged({"a": structured(UPPER, 1), "b": structured(BOXES.parts["a"], 1)}), "same dimension"),
+    (lambda: structured(TWO, {"upper": 2}), "divisions must name each body once: the bodies are 'upper'"),
     (lambda: structured(UPPER, {"upper": 2}), TypeError, "for an Assembly only"),
     (lambda: structured(Assembly(parts={"disk": DISK}), 2), TypeError, "graded meshes other domains"),
-    (lambda: graded(TWO, {"upper": 1.0}), ValueError, "size must name each body once"),
-    (lambda: graded(TWO, 1.0, "bottom", 2), ValueError, r"'bottom' does not exist; the boundaries are upper\.bottom"),
-    (lambda: graded(TWO, 1.0, "upper.bottom", {"upper": 2, "lower": 2}), ValueError, "contact_boundaries is empty"),
-    (lambda: sized(TWO, {"upper": 0.1}, 1.0), ValueError, "size_function must name each body once"),
-    (lambda: sized(UPPER, SizeNear([(0, 0, 0)], size=0.1), 1.0), ValueError, "are 3D, the mesh is 2D"),
-    (lambda: SizeNear([], size=1.0), ValueError, "at least one point"),
-    (lambda: SizeNear([(0, 0), (0, 0, 0)], size=1.0), ValueError, "same dimension"),
-    (lambda: SizeNear([(0, 0)], size=1.0, grading=2), ValueError, "grading must be at most 1"),
-])
-def test_refuses(call, error, message):
-    with pytest.raises(error, match=message):
-        call()
+    (lambda: graded(TWO, {"upper": 1.0}), "size must name each body once"),
+    (lambda: graded(TWO, 1.0, "bottom", 2), r"'bottom' does not exist; the boundaries are upper\.bottom"),
+    (lambda: graded(TWO, 1.0, "upper.bottom", {"upper": 2, "lower": 2}), "contact_boundaries is empty"),
+    (lambda: sized(TWO, {"upper": 0.1}, 1.0), "size_function must name each body once"),
+    (lambda: sized(UPPER, SizeNear([(0, 0, 0)], size=0.1), 1.0), "are 3D, the mesh is 2D"),
+    (lambda: SizeNear([], size=1.0), "at least one point"),
+    (lambda: SizeNear([(0, 0), (0, 0, 0)], size=1.0), "same dimension"),
+    (lambda: SizeNear([(0, 0)], size=1.0, grading=2), "grading must be at most 1"))

@@ -174,15 +174,24 @@ def test_an_interface_without_a_name_and_dots_in_names(tmp_path):
 
 
 def two_bodies():
+    """Two squares with a common edge, whose boundaries share names."""
     geometry = SplineGeometry()
     p = [geometry.AppendPoint(*c) for c in ((0, 0), (1, 0), (1, 1), (0, 1), (2, 0), (2, 1))]
     for a, b, name, left, right in ((0, 1, "low", 1, 0), (1, 2, "mid one", 1, 2), (2, 3, "top", 1, 0),
                                     (3, 0, "left side", 1, 0), (1, 4, "low", 2, 0), (4, 5, "r", 2, 0),
                                     (5, 2, "top", 2, 0)):
         geometry.Append(["line", p[a], p[b]], bc=name, leftdomain=left, rightdomain=right)
-    geometry.SetMaterial(1, "first body")
-    geometry.SetMaterial(2, "b")
+    for number, name in ((1, "first body"), (2, "b")):
+        geometry.SetMaterial(number, name)
     return geometry.GenerateMesh(maxh=0.5)
+
+
+def test_netgens_interfaces_are_left_out_and_names_merged():
+    mesh = from_ngsolve(ngsolve.Mesh(two_bodies()))
+    assert mesh.boundaries == ("low", "top", "left side", "r") and mesh.bodies == ("first body", "b")
+    np.testing.assert_allclose(np.bincount(mesh.element_body, mesh.volumes), 1, rtol=1e-13)
+    low = mesh.points[mesh.boundary_nodes("low")]
+    assert (low[:, 1] == 0).all() and np.ptp(low[:, 0]) == 2
 
 
 MAKE = {"two bodies": two_bodies, "cube": lambda: unit_cube.GenerateMesh(maxh=0.5),

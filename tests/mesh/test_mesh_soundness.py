@@ -93,18 +93,18 @@ def test_keys_of_facets_do_not_overflow():
         facet_keys(CUBE.facets, 3_000_000)
 
 
+TRIANGLE = [[0, 0], [1, 0], [0.5, np.sqrt(0.75)]], [[0, 1, 2]], [[0, 1], [1, 2], [2, 0]]
+TETRAHEDRON = ([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]], [[0, 2, 1, 3]],
+               element_facets(np.array([[0, 2, 1, 3]]))[0])
+
+
 def test_quality_of_known_elements():
     half = quality(structured(Rectangle(width=2, height=2), 1))
-    assert half.min_angle == pytest.approx(45) and half.max_angle == pytest.approx(90)
-    assert half.h_min == pytest.approx(2) and half.h_max == pytest.approx(2 * np.sqrt(2))
-    corners = [[0, 0], [1, 0], [0.5, np.sqrt(0.75)]]
-    best = quality(check_mesh(MeshArrays(corners, [[0, 1, 2]], [[0, 1], [1, 2], [2, 0]], [0] * 3, ("a",))))
-    assert best.min_angle == pytest.approx(60) and best.aspect_ratio == pytest.approx(1)
-    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
-    element = np.array([[0, 2, 1, 3]])
-    best = quality(check_mesh(MeshArrays(corners, element, element_facets(element)[0], [0] * 4, ("a",))))
-    assert best.min_angle == pytest.approx(np.degrees(np.arccos(1 / 3))) == best.max_angle
-    assert best.aspect_ratio == pytest.approx(1)
+    assert (half.min_angle, half.max_angle) == pytest.approx((45, 90))
+    assert (half.h_min, half.h_max) == pytest.approx((2, 2 * np.sqrt(2)))
+    for arrays, angle in ((TRIANGLE, 60), (TETRAHEDRON, np.degrees(np.arccos(1 / 3)))):
+        best = quality(check_mesh(MeshArrays(*arrays, np.zeros(len(arrays[2])), ("a",))))
+        assert (best.min_angle, best.max_angle, best.aspect_ratio) == pytest.approx((angle, angle, 1))
 
 
 def turned(mesh, points):

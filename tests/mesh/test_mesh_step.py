@@ -123,27 +123,21 @@ def test_units(two):
     ({"names": {"lower.lid": "x"}}, "names: 'lower.lid' is neither"),
     ({"names": {"lower": "upper"}}, "two solids are called 'upper'"),
     ({"boundary_sizes": {"top": 1e-3}}, "boundary 'top' does not exist; the boundaries are lower.left, lower.right"),
-    ({"size": {"lower": 1e-3}}, "size must name each body once"),
-    ({"size": 1e-6}, "nodes .at most 2e"),
-])
+    ({"size": {"lower": 1e-3}}, "size must name each body once"), ({"size": 1e-6}, "nodes .at most 2e")])
 def test_bad_arguments(two, arguments, message):
     with pytest.raises(ValueError, match=message):
         from_step(two, **({"size": 5e-3} | arguments))
 
 
 def test_bad_files(tmp_path):
-    with pytest.raises(FileNotFoundError, match="path: there is no file"):
-        from_step(tmp_path / "none.step", 1e-3)
-    surface = tmp_path / "surface.step"
+    surface, other = tmp_path / "surface.step", tmp_path / "mesh.msh"
     Compound([Cylinder(Pnt(0, 0, 0), Z, 1, 4).faces[0]]).WriteStep(str(surface))
-    with pytest.raises(ValueError, match="holds no solids; surfaces must be closed"):
-        from_step(surface, 1e-3)
-    other = tmp_path / "mesh.msh"
     other.write_text("")
-    with pytest.raises(ValueError, match=r"is not a \.step or \.stp file"):
-        from_step(other, 1e-3)
-    with pytest.raises(TypeError, match="domain must be a StepFile"):
-        step_mesh(str(surface), 1e-3)
-    # a geometry is no mesh
-    with pytest.raises(ValueError, match="from_step"):
-        as_mesh(surface)
+    for call, error, message in (
+            (lambda: from_step(tmp_path / "none.step", 1e-3), FileNotFoundError, "path: there is no file"),
+            (lambda: from_step(surface, 1e-3), ValueError, "holds no solids; surfaces must be closed"),
+            (lambda: from_step(other, 1e-3), ValueError, r"is not a \.step or \.stp file"),
+            (lambda: step_mesh(str(surface), 1e-3), TypeError, "domain must be a StepFile"),
+            (lambda: as_mesh(surface), ValueError, "from_step")):  # a geometry is no mesh
+        with pytest.raises(error, match=message):
+            call()

@@ -1,4 +1,4 @@
-"""What is posed: moduli, laws at the nodes, obstacles, domains and the names of a problem."""
+"""What is posed: moduli, laws at the nodes, obstacles, domains, names; and what is refused where it is made."""
 
 import dataclasses
 import math
@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from refused import refused
 
 import adaptmg as am
 from adaptmg import _check_arrays as check_arrays
@@ -13,15 +14,31 @@ from adaptmg import _checks as checks
 from adaptmg.problem import Axisymmetric, Domain, Law, PlaneStrain, PlaneStress, Solid
 
 STEEL = PlaneStrain(young=2.1e11, poisson=0.3)
-TWO = am.Assembly(parts={"upper": am.Rectangle(width=1.0, height=1.0),
-                         "lower": am.Rectangle(width=2.0, height=1.0, origin=(0.0, -1.0))})
+SQUARE, CUBE = am.Rectangle(width=1.0, height=1.0), am.Box(width=1.0, depth=1.0, height=1.0)
+TWO = am.Assembly(parts={"upper": SQUARE, "lower": am.Rectangle(width=2.0, height=1.0, origin=(0.0, -1.0))})
+FLOOR = am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0)))
 PAIR = am.ContactPair("upper.bottom", "lower.top")
+POINTS = np.arange(6.0).reshape(3, 2)
+NORMALS = np.array([[0.0, -1.0]] * 3)
 HALF = am.Outline(vertices=((0, 0), (2, 2), (0, 2)), boundaries=("arc", "top", "axis"), arcs={0: (0, 2)})
 
 
-def problem(**changes: object) -> am.ContactProblem:
-    parts = {"material": STEEL, "contact": PAIR, "law": am.Frictionless(), "domain": TWO}
-    return am.ContactProblem(**(parts | changes))
+def one(**changes: object) -> am.ContactProblem:
+    return am.ContactProblem(**({"material": STEEL, "contact": FLOOR, "law": am.Frictionless(), "domain": SQUARE}
+                                | changes))
+
+
+def two(**changes: object) -> am.ContactProblem:
+    return one(**({"contact": PAIR, "domain": TWO} | changes))
+
+
+def outline(**changes: object) -> am.Outline:
+    return am.Outline(**({"vertices": ((0, 0), (2, 2), (0, 2)), "boundaries": ("arc", "top", "axis"),
+                          "arcs": {0: (0, 2)}} | changes))
+
+
+def polygon(n: int = 4, names: str = "abcd", turn: int = 1) -> am.Polygon:
+    return am.Polygon(vertices=((0, 0), (1, 0), (1, 1), (0, 1))[:n][::turn], boundaries=tuple(names))
 
 
 def test_checks_return_the_type_that_is_needed():
@@ -71,7 +88,7 @@ class TestLaws:
             def bounds(self, n_contact):
                 return np.zeros(n_contact), np.full(n_contact, 0.5)
 
-        assert isinstance(Half(), Law) and problem(law=Half()).law.bounds(2)[1][1] == 0.5
+        assert isinstance(Half(), Law) and two(law=Half()).law.bounds(2)[1][1] == 0.5
 
 
 class TestObstacles:
@@ -142,32 +159,30 @@ class TestDomains:
 
 class TestProblem:
     def test_names(self):
-        posed = problem(contact=(PAIR, am.Contact("lower.bottom", am.Plane((0.0, -1.0), (0.0, 1.0)))))
+        assert two(loads=(am.InitialStrain("upper", (1e-3, 0)), am.InitialStrain("lower", (0, 0, 1e-3)))).loads
+        posed = two(contact=(PAIR, am.Contact("lower.bottom", am.Plane((0.0, -1.0), (0.0, 1.0)))))
         assert posed.contact_boundaries == ("upper.bottom", "lower.bottom") and posed.masters == ("lower.top", "")
         assert posed.pair_boundaries == ("upper.bottom", "lower.top", "lower.bottom")
         assert posed.bodies == ("upper", "lower") and posed.dim == 2 and not posed.axisymmetric
-        assert problem().contact == (PAIR,)
+        assert two().contact == (PAIR,)
 
     def test_bodies_without_a_domain(self):
         both = {"a": STEEL, "b": PlaneStress(young=1e7, poisson=0.45)}
-        assert problem(domain=None).bodies == () and problem(domain=None, material=both).bodies == ("a", "b")
+        assert two(domain=None).bodies == () and two(domain=None, material=both).bodies == ("a", "b")
         square = am.Rectangle(width=1, height=1)
-        assert problem(domain=square, contact=am.ContactPair("bottom", "top")).bodies == ("body",)
+        assert two(domain=square, contact=am.ContactPair("bottom", "top")).bodies == ("body",)
 
         class File(Domain):
             dim, boundaries, bodies = 2, None, None
 
-        assert problem(domain=File(), material=both).bodies == ("a", "b")
-
-    def test_initial_strains_of_two_or_three_components_in_the_plane(self):
-        assert problem(loads=(am.InitialStrain("upper", (1e-3, 0)), am.InitialStrain("lower", (0, 0, 1e-3)))).loads
+        assert two(domain=File(), material=both).bodies == ("a", "b")
 
     def test_bodies_that_overlap_without_a_pair_are_named(self):
         """Nothing would separate them; where they only touch, or are a pair, there is no warning."""
         def posed(shift):
             places = {"low": (0.0, 0.0), "high": (0.0, 1.0), "third": (1.0 - shift, 0.0)}
             parts = {name: am.Rectangle(width=1.0, height=1.0, origin=origin) for name, origin in places.items()}
-            return am.Hierarchy.uniform(problem(
+            return am.Hierarchy.uniform(two(
                 domain=am.Assembly(parts=parts), contact=am.ContactPair("high.bottom", "low.top"),
                 supports=(am.Support("high.left", x=0.0), am.Support("low.bottom", x=0.0, y=0.0),
                           am.Support("third.bottom", x=0.0, y=0.0))), (4, 8))
@@ -177,3 +192,76 @@ class TestProblem:
             posed(0.0)
         with pytest.warns(UserWarning, match=r"'low' and 'third' lie in each other, at \[.* not a contact pair"):
             posed(0.3)
+
+
+VALUES = {
+    r"v must be a vector of 2 numbers, got shape \(1,\)": lambda: check_arrays.vector("v", [1.0], 2),
+    r"return shape \(3,\)": lambda: checks.field("f", lambda x: x, POINTS),
+    r"f must be finite, got nan at \(2.0, 3.0\)": lambda: checks.field(
+        "f", lambda x: np.where(x[:, 0] == 2, np.nan, 1), POINTS),
+    r"f must be finite and >= 0.0, got -1.0": lambda: checks.field("f", -1.0, POINTS, minimum=0.0),
+    r">= 0.0, got -1.0 at \(0.0, 1.0\)": lambda: am.Coulomb(lambda x: x[:, 0] - 1).at_nodes(POINTS, np.ones(3)),
+    r"over the 3 contact nodes, got shape \(2,\)": lambda: am.Tresca(np.ones(2)).bounds(3),
+    "2 or 3 components, got 1": lambda: am.BodyForce((1.0,)),
+    "fixes nothing": lambda: am.Support("left"),
+    "z is prescribed in a 2D problem": lambda: one(supports=(am.Support("left", z=0.0),)),
+    "turn the normal": lambda: am.Plane((0.0, 0.0), (0.0, -1.0)).contact(POINTS, NORMALS),
+    "normal must not be zero": lambda: am.Plane((0.0, 0.0), (0.0, 0.0)),
+    "gap must be finite": lambda: am.GapFunction(lambda x: x[:, 0] * np.nan).contact(POINTS, NORMALS),
+    "slave and master are both 'a'": lambda: am.ContactPair("a", "a"),
+    "allow_interference=True": lambda: am.ContactPair("a", "b", gap=-1e-6),
+    "positive area": lambda: polygon(turn=-1),
+    "each of the 4 edges, got 2": lambda: polygon(names="ab"),
+    "at least 3 pairs": lambda: polygon(2, "ab"),
+    "counter-clockwise": lambda: outline(vertices=((0, 0), (0, 2), (2, 2)), arcs={}),
+    r"arcs\[0\] \('arc'\): the centre .* same distance": lambda: outline(arcs={0: (0, 1.9)}),
+    "180 degrees": lambda: outline(arcs={0: (1, 1)}),
+    "there are 3 edges": lambda: outline(arcs={3: (0, 2)}),
+    "full circle": lambda: outline(vertices=((0, 0), (0, 0), (0, 2))),
+    "parts is empty": lambda: am.Assembly(parts={}),
+    r"must not contain '\.', got 'a\.b'": lambda: am.Assembly(parts={"a.b": SQUARE}),
+    r"parts\['a'\] must be one body": lambda: am.Assembly(parts={"a": TWO}),
+    "same dimension": lambda: am.Assembly(parts={"a": SQUARE, "b": CUBE}),
+    "'bottom' is named twice": lambda: one(contact=(FLOOR, FLOOR)),
+    "3 components in a 2D problem": lambda: one(loads=(am.BodyForce((0.0, 0.0, -1.0)),)),
+    "use Solid in 3D": lambda: one(domain=CUBE),
+    "'wall', used for a support, does not exist": lambda: one(supports=(am.Support("wall", x=0.0),)),
+    "the boundaries are bottom, left, right, top": lambda: one(contact=am.Contact("floor", FLOOR.obstacle)),
+    "is 3D, the material 2D": lambda: one(contact=am.Contact("bottom", am.Plane((0, 0, 0), (0, 0, 1)))),
+    "the bodies are 'upper', 'lower', material names 'upper'": lambda: two(material={"upper": STEEL}),
+    "must name each body once": lambda: two(material=dict.fromkeys(("upper", "lower", "x"), STEEL)),
+    "all Axisymmetric": lambda: two(material={"upper": STEEL, "lower": Axisymmetric(young=1.0, poisson=0.3)}),
+    "all Solid": lambda: two(material={"upper": STEEL, "lower": Solid(young=1.0, poisson=0.3)}),
+    "'upper.bottom' is named twice": lambda: two(contact=(PAIR, am.ContactPair("upper.bottom", "lower.left"))),
+    "swap slave and master": lambda: two(contact=(PAIR, am.ContactPair("lower.top", "upper.left"))),
+    "'lower.roof', used for contact": lambda: two(contact=am.ContactPair("upper.bottom", "lower.roof")),
+    "body 'middle', used for a load": lambda: two(loads=(am.BodyForce((0, 1), body="middle"),)),
+    "the bodies are 'upper', 'lower'$": lambda: two(loads=(am.InitialStrain("middle", (0, 1)),)),
+    "the bodies are 'a', 'c', material names 'a'": lambda: one(domain=None, material={"a": STEEL}).check_bodies(
+        ("a", "c")),
+    "'bottom', used for contact, does not exist": lambda: one().check_boundaries(("side", "top")),
+    r"reaches to x = -0\.5 m": lambda: one(
+        material=Axisymmetric(young=1.0, poisson=0.3), domain=am.Rectangle(width=1, height=1, origin=(-0.5, 0))),
+    "2 components in a 3D problem": lambda: one(
+        material=Solid(young=1.0, poisson=0.3), domain=CUBE, contact=am.ContactPair("top", "bottom"),
+        loads=(am.InitialStrain("body", (1e-3, 0)),)),
+}
+TYPES = {
+    "v must be a sequence of numbers": lambda: check_arrays.vector("v", ["a", "b"]),
+    "must be evaluated at the nodes first": lambda: am.Tresca(lambda x: x[:, 0]).bounds(3),
+    "belong on a DiscreteProblem": lambda: am.Coulomb(np.ones(3)).at_nodes(POINTS, np.ones(3)),
+    "one a component": lambda: am.Traction("top", lambda x: x),
+    "contact must be a sequence of Contact or ContactPair": lambda: two(contact="upper.bottom"),
+}
+
+
+test_refused = refused(*((make, message) for message, make in VALUES.items()),
+                       *((make, TypeError, message) for message, make in TYPES.items()))
+
+
+@pytest.mark.parametrize("contact", [
+    PAIR, am.ContactPair("upper.left", "upper.right"), (PAIR, am.ContactPair("upper.left", "lower.top")),
+    (PAIR, am.Contact("lower.top", am.Plane((0, 2), (0, -1))))],
+    ids=["two bodies", "one body", "a common master", "master before an obstacle"])
+def test_accepted(contact):
+    assert two(contact=contact).dim == 2

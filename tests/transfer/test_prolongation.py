@@ -7,6 +7,7 @@ import pytest
 from bodies import LOWER_ON_UPPER, UPPER_ON_LOWER, bar_on_block, corner_pushed, turned
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from refused import refused
 from saddle import Parts
 from scipy import sparse
 from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
@@ -17,7 +18,7 @@ import adaptmg as am
 from adaptmg.discrete.discretise import discretise
 from adaptmg.geometry import clipping, location, search
 from adaptmg.geometry.quadrature import simplex_rule
-from adaptmg.mesh import MeshArrays, graded
+from adaptmg.mesh import MeshArrays, bisect, graded
 from adaptmg.mesh import structured as structured_mesh
 from adaptmg.transfer import (
     CLIP,
@@ -34,6 +35,7 @@ from adaptmg.transfer import (
     with_contact_rows,
 )
 from adaptmg.transfer.contact_rows import between_levels
+from adaptmg.transfer.galerkin import seen
 from adaptmg.transfer.projections import mass_matrix, mixed_mass
 
 ALL = (Interpolation(), L2(), PseudoL2(), LumpedL2(), QuasiInterpolation())
@@ -333,11 +335,9 @@ def test_constraints_of_surface_rows(levels):
 
 
 def test_soft_bodies_next_to_stiff_ones_count_when_matrices_are_compared():
-    """is_galerkin is relative row by row: a soft body with another coarse matrix is seen next to a stiff one."""
     coarse, fine = structured(2, 2), structured(4, 2)
-    P = Interpolation().build(coarse, fine)
-    rng = np.random.default_rng(2)
-    soft = sparse.kron(mass_matrix(fine), sparse.csr_array(np.eye(2) + 0.1 * rng.random((2, 2))))
+    P, stretched = Interpolation().build(coarse, fine), np.eye(2) + 0.1 * np.random.default_rng(2).random((2, 2))
+    soft = sparse.kron(mass_matrix(fine), sparse.csr_array(stretched))
     stiff = sparse.bsr_array(sparse.block_diag([1e12 * soft, soft]), blocksize=(2, 2))
     both = sparse.csr_array(sparse.block_diag([P, P]))
     product = galerkin_product(stiff, both)
@@ -345,3 +345,116 @@ def test_soft_bodies_next_to_stiff_ones_count_when_matrices_are_compared():
     wrong = product.copy()
     wrong.data[wrong.indptr[coarse.n_nodes]:] *= 1.001
     assert not am.transfer.is_galerkin(stiff, both, wrong)
+
+
+# -- along the contact boundary ----------------------------------------------------------------------------------------
+
+def bottom(mesh):
+    facets = mesh.facets[(mesh.points[mesh.facets][:, :, -1] == 0).all(axis=1)]
+    return facets, np.unique(facets)
+
+
+def bulged(n):
+    """A cube whose bottom face is bent to a cap."""
+    cube = structured(n, 3)
+    points = np.array(cube.points)
+    points[:, 2] -= (1 - points[:, 2]) * 0.3 * (1 - (2 * points[:, 0] - 1) ** 2) * (1 - (2 * points[:, 1] - 1) ** 2)
+    mesh = mesh_of(points, cube.elements)
+    return mesh, cube.facets[(cube.points[cube.facets][:, :, 2] == 0).all(axis=1)]
+
+
+@pytest.mark.parametrize(("coarse", "fine"), [(random_box(20, 2, 1), random_box(80, 2, 2)),
+                                              (log_graded(300, 1), log_graded(900, 2)),
+                                              (random_box(30, 3, 1), random_box(90, 3, 2))], ids=["2D", "graded", "3D"])
+def test_on_a_flat_boundary_it_is_the_interpolation(coarse, fine):
+    facets, allowed = bottom(coarse)
+    _, nodes = bottom(fine)
+    rows = surface_interpolation(coarse, fine, facets, nodes)
+    assert rows.shape == (len(nodes), coarse.n_nodes) and np.isin(rows.indices, allowed).all()
+    np.testing.assert_allclose(rows @ coarse.points, fine.points[nodes], atol=1e-14)
+    volume = Interpolation().build(coarse, fine)
+    np.testing.assert_allclose((rows - volume[nodes]).toarray(), 0, atol=1e-7)
+    changed, others = with_contact_rows(volume, nodes, 2 * rows), np.setdiff1d(np.arange(fine.n_nodes), nodes)
+    assert abs(changed[nodes] - 2 * rows).max() == 0 == abs(changed[others] - volume[others]).max()
+
+
+def test_on_a_curved_face_no_facet_is_nearer():
+    coarse, facets = bulged(4)
+    fine, fine_facets = bulged(9)
+    nodes = np.unique(fine_facets)
+    rows = surface_interpolation(coarse, fine, facets, nodes)
+    assert rows.data.min() >= 0 and np.diff(rows.indptr).max() <= 3
+    np.testing.assert_allclose(rows.sum(axis=1), 1, atol=1e-15)
+    distance = np.linalg.norm(rows @ coarse.points - fine.points[nodes], axis=1)
+    weights = np.array([(a, b, 12 - a - b) for a in range(13) for b in range(13 - a)]) / 12
+    samples = np.einsum("wk,fkd->fwd", weights, coarse.points[facets]).reshape(-1, 3)
+    sampled = np.linalg.norm(samples[None] - fine.points[nodes][:, None], axis=2).min(axis=1)
+    assert (distance <= sampled + 1e-12).all()
+
+
+def rows_of(facets):
+    return surface_interpolation(disk(2), disk(3), facets, np.unique(disk(3).facets))
+
+
+def replaced(rows, at):
+    return with_contact_rows(Interpolation().build(disk(2), disk(3)), at, rows)
+
+
+test_refused = refused(
+    *((lambda facets=facets: rows_of(facets), "coarse_boundary_facets must hold nodes of coarse")
+      for facets in (disk(2).facets[:0], disk(2).facets + disk(2).n_nodes, disk(2).facets[0])),
+    *((lambda rows=rows, at=at: replaced(rows, at), r"rows must have shape .* distinct fine_nodes")
+      for rows, at in ((sparse.csr_array((18, 3)), np.unique(disk(3).facets)),
+                       (sparse.csr_array((2, disk(2).n_nodes)), np.array([0, 0])))))
+
+
+# -- meshes that are locally finer than the next one, which takes nothing from some of their nodes --------------------
+
+def hierarchy(inserted: int) -> am.Hierarchy:
+    """4, 8, 16 cells a side; the second mesh is bisected so many times in the middle of a cell, far from contact."""
+    problem = am.cases.greco_bar(law=am.Coulomb(0.5))
+    meshes = [structured_mesh(problem.domain, n) for n in (4, 8, 16)]
+    for _ in range(inserted):
+        centre = meshes[1].points[meshes[1].elements].mean(axis=1)
+        near = np.linalg.norm(centre - np.array([20.4e-3, 20.8e-3]), axis=1)
+        meshes[1] = bisect(meshes[1], near <= 1.01 * near.min())[0]
+    return am.Hierarchy.from_meshes(problem, meshes)
+
+
+def unseen(grids: am.Hierarchy) -> np.ndarray:
+    """Nodes of the second level that the finest takes nothing from."""
+    return np.flatnonzero(np.asarray(abs(grids[2].prolongation).sum(axis=0)).ravel() == 0)
+
+
+@pytest.mark.parametrize("correction", [am.Truncated(), am.Monotone()])
+def test_unseen_nodes_cost_no_cycles(correction):
+    plain, refined = hierarchy(0), hierarchy(10)
+    assert not len(unseen(plain)) and len(unseen(refined)) > 2
+    before, after = (am.solve(grids, am.FullMultigrid(correction=correction)) for grids in (plain, refined))
+    assert after.status is am.Status.CONVERGED
+    assert after.cycles <= before.cycles + 3
+
+
+def test_the_product_of_two_steps_is_that_of_their_product():
+    grids = hierarchy(10)
+    fine, P2, P1 = grids[2].matrix, sparse.csr_array(grids[2].prolongation), sparse.csr_array(grids[1].prolongation)
+    middle = galerkin_product(fine, P2)
+    both = galerkin_product(fine, sparse.csr_array(P2 @ P1)).toarray()
+    assert galerkin_product(middle, seen(P1, P2)).toarray() == pytest.approx(both, abs=1e-12 * np.abs(both).max())
+    # with what unseen nodes are lent it is not
+    assert not np.allclose(galerkin_product(middle, P1).toarray(), both, rtol=1e-3)
+
+
+def test_user_prolongations_too():
+    grids = hierarchy(10)
+    made = am.Hierarchy.from_prolongations(grids.finest.discrete, [grids[1].prolongation, grids[2].prolongation])
+    result, reference = am.solve(made, am.Multigrid()), am.solve(grids, am.ActiveSet()).displacement
+    assert result.cycles <= 25
+    assert result.displacement == pytest.approx(reference, abs=1e-6 * np.abs(reference).max())
+
+
+def test_a_coarsest_mesh_finer_than_the_next_is_solved_between_bodies():
+    """Coarse functions that the next level cannot tell apart made the coarsest matrix of the nested start singular."""
+    grids = am.Hierarchy.graded(am.cases.dovetail(), sizes=(6e-3, 3.6e-3, 2.2e-3), contact_ratio=4)
+    result = am.solve(grids, am.FullMultigrid())
+    assert result.status is am.Status.CONVERGED and result.cycles <= 14

@@ -1,0 +1,275 @@
+"""Bisection and coarsening: conforming from any mesh, bounded shapes, labels follow; the history goes through files."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bisected_meshes import (
+    SQUARE,
+    as_sets,
+    containing_elements,
+    crooked,
+    cube,
+    random_mask,
+    shape_classes,
+    single,
+    verified,
+)
+from uncompiled import uncompile
+
+from adaptmg.mesh import MeshArrays, bisect, check_mesh, coarsen, quality, refine_near, structured
+from adaptmg.mesh.bisection import children, refine, tables
+from adaptmg.mesh.bisection import coarsen as coarsening
+from adaptmg.mesh.bisection.coarsen import coarsened
+from adaptmg.mesh.bisection.refine import bisected, refined
+from adaptmg.mesh.bisection.tables import cells_of, history_arrays, nodes_of, tree_of, with_history
+from adaptmg.problem import Rectangle
+
+MESHES = {"2D": SQUARE, "2D crooked": crooked(SQUARE), "3D": cube(), "3D crooked": crooked(cube(2))}
+EACH = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+SIDES = {"left": (0, 0), "right": (0, 1), "bottom": (-1, 0), "top": (-1, 1)}
+
+
+def everything(mesh):
+    return np.ones(len(mesh.elements), dtype=bool)
+
+
+@EACH
+@pytest.mark.parametrize("passes", [None, 1, 2])
+def test_random_marks_again_and_again_stay_conforming(mesh, passes):
+    for k in range(12):
+        before = mesh
+        marked = random_mask(mesh, 0.1, k)
+        mesh, parents = bisect(mesh, marked, passes)
+        verified(mesh)
+        np.testing.assert_array_equal(mesh.points, mesh.points[parents].mean(axis=1))
+        assert mesh.volumes.sum() == pytest.approx(1, rel=1e-12)
+        for name, (axis, value) in SIDES.items():
+            assert (mesh.points[mesh.boundary_nodes(name), axis] == value).all()
+        # those of one old facet lie one after another, in the order of the old ones
+        assert (np.diff(mesh.facet_labels) >= 0).all() == (np.diff(before.facet_labels) >= 0).all()
+        refinement = mesh.refinement
+        assert mesh.n_nodes > before.n_nodes and len(refinement.tree) > 0
+        assert len(refinement.parents) == mesh.n_nodes and refinement.generation.max() < 100
+        if mesh.n_nodes > 20_000:
+            break
+    assert k >= 2 and before.refinement is not None and replace(mesh, source=None).refinement is None
+    for one in (mesh, pickle.loads(pickle.dumps(mesh))):
+        assert not any(getattr(one.refinement, name).flags.writeable for name in ("parents", "marks", "tree"))
+
+
+@pytest.mark.parametrize("tip", [[0.3, 0.6], [0.02, 0.1]])
+def test_a_triangle_has_at_most_four_shapes(tip):
+    mesh = single([[0, 0], [1, 0], tip])
+    for _ in range(5):
+        mesh, _ = bisect(mesh, everything(mesh))
+    assert len(mesh.elements) == 4**5 and shape_classes(mesh) <= 4
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_tetrahedron_has_a_bounded_number_of_shapes(seed):
+    mesh = single(np.random.default_rng(seed).random((4, 3)))
+    classes, worst = [], []
+    for _ in range(12):
+        mesh, _ = bisect(mesh, everything(mesh), passes=1)
+        classes.append(shape_classes(mesh))
+        worst.append(quality(mesh).aspect_ratio)
+    assert len(mesh.elements) >= 2**12
+    # none is new after eight bisections: Arnold, Mukherjee and Pouly, theorem 3.2 with its remark
+    assert max(classes) <= 72 and worst[-1] <= max(worst[:8]) * (1 + 1e-9)
+
+
+@EACH
+def test_marked_elements_have_all_edges_halved_and_passes_count(mesh):
+    marked = random_mask(mesh, 0.15, 5)
+    full = refined(mesh, marked)
+    children = np.bincount(full.origin, minlength=len(mesh.elements))
+    assert (children[marked] >= 2**mesh.dim).all() and (children >= 1).all()
+    np.testing.assert_allclose(np.bincount(full.origin, full.mesh.volumes), mesh.volumes, rtol=1e-12)
+    # half an edge, or less where a face was cut twice
+    old_edges = mesh.elements[marked][:, [0, 1]]
+    halved = {tuple(sorted(p)) for p in full.mesh.refinement.parents[mesh.n_nodes:].tolist()}
+    assert {tuple(sorted(edge)) for edge in old_edges.tolist()} <= halved
+    for passes in (1, 2, 3):
+        some = refined(mesh, marked, passes)
+        assert (some.mesh.refinement.generation[marked[some.origin]] >= passes).all()
+        few = np.bincount(some.origin, minlength=len(mesh.elements))[marked]
+        assert few.min() >= 2**passes and some.mesh.n_nodes > mesh.n_nodes
+    once = refined(mesh, marked, 1).mesh
+    assert once.n_nodes < full.mesh.n_nodes
+
+
+def test_uniform_bisection_of_a_structured_mesh_makes_the_next_structured_one():
+    for mesh, next_one in ((structured(Rectangle(width=1, height=1), n) for n in (4, 8)), (cube(1), cube(2))):
+        fine, _ = bisect(mesh, everything(mesh))
+        assert fine.n_nodes == next_one.n_nodes and len(fine.elements) == len(next_one.elements)
+        np.testing.assert_array_equal(np.unique(fine.points, axis=0), np.unique(next_one.points, axis=0))
+
+
+def results():
+    found = {}
+    for name, mesh in (("2D", crooked(SQUARE)), ("3D", crooked(cube(2)))):
+        fine = mesh
+        for k, passes in enumerate((None, 1, 2)):
+            fine, _ = bisect(fine, random_mask(fine, 0.2, k), passes)
+        coarse = coarsen(fine, random_mask(fine, 0.8, 7), passes=2)
+        assert coarse.n_nodes < fine.n_nodes
+        for what, one in (("fine", fine), ("coarse", coarse)):
+            for part in ("points", "elements", "facets", "facet_labels", "element_body"):
+                found[f"{name} {what} {part}"] = getattr(one, part)
+    return found
+
+
+def test_kernels_without_the_compiler(monkeypatch):
+    compiled = results()
+    uncompile(monkeypatch, refine, children, tables, coarsening)
+    for key, value in results().items():
+        np.testing.assert_array_equal(value, compiled[key], err_msg=key)
+
+
+@EACH
+@pytest.mark.parametrize("every_edge", [True, False])
+def test_tables_that_grow_hold_the_same_as_those_with_room(mesh, every_edge):
+    fine, _ = bisect(mesh, random_mask(mesh, 0.2, 1))
+    marked, n = random_mask(fine, 0.3, 2), len(fine.elements)
+    tree = tree_of(fine)
+    found = []
+    for room in (0.0, 20.0):
+        more = np.empty((len(tree) + int(room * n), tree.shape[1]), dtype=np.int32)
+        more[:len(tree)] = tree
+        cells, n_cells, more, n_tree, nodes, n_nodes = bisected(
+            cells_of(fine, room), n, more, len(tree), nodes_of(fine, room), fine.n_nodes, marked, every_edge)
+        found.append((cells[:n_cells], more[:n_tree], nodes[fine.n_nodes:n_nodes]))
+    for tight, roomy in zip(*found, strict=True):
+        np.testing.assert_array_equal(tight, roomy)
+
+
+FINE_SQUARE = structured(Rectangle(width=1, height=1), 4)
+
+
+def test_refine_near_reaches_strong_grading_without_bad_angles():
+    before = FINE_SQUARE.source.nv
+    meshes = refine_near(FINE_SQUARE, "bottom", 8)
+    assert meshes[0] is FINE_SQUARE and len(meshes) == 9 and FINE_SQUARE.source.nv == before
+    np.testing.assert_array_equal([v.point for v in meshes[2].source.vertices], meshes[2].points)
+    for level, mesh in enumerate(meshes):
+        assert len(mesh.boundary_facets("bottom")) == 4 * 2**level
+        assert len(mesh.boundary_facets("top")) == 4
+    # the work goes to the boundary: nodes double with every level, uniform refinement would make four times as many
+    assert meshes[-1].n_nodes < 2.05 * meshes[-2].n_nodes
+    assert quality(meshes[-1]).min_angle > 20
+    assert containing_elements(meshes[1], meshes[2]).min() >= 0
+    assert [len(m.boundary_facets("bottom")) for m in refine_near(cube(2), ["bottom", "left"], 2)] == [8, 32, 128]
+    with pytest.raises(ValueError, match="boundary 'bottm' does not exist"):
+        refine_near(FINE_SQUARE, "bottm")
+
+
+# -- coarsening -----------------------------------------------------------------------------------------------------
+
+@EACH
+def test_refined_at_random_and_all_taken_back_is_the_first_mesh(mesh):
+    fine = mesh
+    for k in range(5):
+        fine, _ = bisect(fine, random_mask(fine, 0.15, k), None if k % 2 else 1)
+    back = coarsen(pickle.loads(pickle.dumps(fine)), everything(fine))
+    assert as_sets(back) == as_sets(mesh)
+    np.testing.assert_array_equal(back.points, mesh.points)
+    assert len(back.refinement.tree) == 0 and (back.refinement.generation == 0).all()
+    assert coarsen(back, everything(back)) is back and fine.refinement is not None
+    assert as_sets(bisect(back, everything(back))[0]) == as_sets(bisect(mesh, everything(mesh))[0])
+
+
+@EACH
+def test_to_and_fro_stays_conforming(mesh):
+    mixed = 0
+    for k in range(8):
+        mesh, _ = bisect(mesh, random_mask(mesh, 0.1, k))
+        marked = random_mask(mesh, 0.7, 100 + k)
+        result = coarsened(mesh, marked, 1 if k % 2 else None)
+        coarse = verified(result.mesh)
+        assert coarse.volumes.sum() == pytest.approx(1, rel=1e-12)
+        kept = result.nodes >= 0
+        np.testing.assert_array_equal(coarse.points[result.nodes[kept]], mesh.points[kept])
+        np.testing.assert_array_equal(np.sort(result.nodes[kept]), np.arange(coarse.n_nodes))
+        # what was not marked is still there
+        unmarked = {frozenset(map(tuple, mesh.points[e].tolist())) for e in mesh.elements[~marked]}
+        assert unmarked <= {nodes for _, nodes in as_sets(coarse)[1]}
+        mixed += coarse.n_nodes < mesh.n_nodes
+        mesh = coarse
+        if mesh.n_nodes > 4000:
+            break
+    assert mixed > 2
+
+
+@EACH
+def test_one_pass_takes_back_one_bisection(mesh):
+    once, _ = bisect(mesh, everything(mesh), passes=1)
+    twice, _ = bisect(once, everything(once), passes=1)
+    assert as_sets(coarsen(once, everything(once), 1)) == as_sets(mesh)
+    back = coarsen(twice, everything(twice), passes=1)
+    assert mesh.n_nodes < back.n_nodes < twice.n_nodes
+    assert back.refinement.generation.max() < twice.refinement.generation.max()
+
+
+# -- the history in files ----------------------------------------------------------------------------------------------
+
+CROOKED = {"2D": crooked(SQUARE), "3D": crooked(cube(2))}
+
+
+def thrice(mesh):
+    for k in range(3):
+        mesh, _ = bisect(mesh, random_mask(mesh, 0.2, k), passes=2)
+    return mesh
+
+
+def bare(mesh):
+    """What a file keeps of a mesh."""
+    return check_mesh(MeshArrays(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
+                                 mesh.element_body, mesh.bodies))
+
+
+@pytest.mark.parametrize("mesh", CROOKED.values(), ids=CROOKED)
+def test_bisection_goes_on_from_a_file_as_if_it_had_never_stopped(mesh, tmp_path):
+    fine = thrice(mesh)
+    np.savez(tmp_path / "history.npz", **history_arrays(fine))
+    with np.load(tmp_path / "history.npz") as arrays:
+        back = with_history(bare(fine), arrays)
+    marked = random_mask(fine, 0.3, 9)
+    first, second = (bisect(m, marked)[0] for m in (fine, back))
+    for name in ("points", "elements", "facets", "facet_labels"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert as_sets(coarsen(second, everything(second))) == as_sets(mesh)
+    # without it, the mesh is an initial one
+    assert coarsen(bare(fine), everything(fine)).n_nodes == fine.n_nodes
+    assert history_arrays(mesh) == {} and with_history(bare(fine), {}).refinement is None
+
+
+def spoilt(arrays, name, change):
+    if change is None:
+        return {key: array for key, array in arrays.items() if key != name}
+    return {**arrays, name: change(np.array(arrays[name]))}
+
+
+def put(row, value):
+    def change(array):
+        array[row] = value
+        return array
+    return change
+
+
+@pytest.mark.parametrize(("name", "change", "message"), [
+    ("parents", lambda a: a[:-1], "parents must have shape"),
+    ("parents", put((0, 1), 5), "parents holds numbers out of range"),
+    ("marks", put(0, 18), "marks holds numbers out of range"),
+    ("forebear", put(0, 10**6), "forebear holds numbers out of range"),
+    ("forebear", lambda a: np.where(a >= 0, (a + 3) % (a.max() + 1), a), "elements lack the node"),
+    ("tree", put((0, 0), 10**6), "tree holds numbers out of range"),
+    ("tree", lambda a: a[:, :-1], "tree must have shape"),
+    ("marks", lambda a: a.astype(np.int64) + 2**40, "marks holds numbers out of range"),
+    ("marks", None, "history: marks is missing"),
+])
+def test_what_does_not_fit_is_refused(name, change, message):
+    fine = thrice(CROOKED["3D"])
+    with pytest.raises(ValueError, match=message):
+        with_history(bare(fine), spoilt(history_arrays(fine), name, change))
