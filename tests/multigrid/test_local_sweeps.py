@@ -28,22 +28,20 @@ def problem(dim, law, gap=GAP, coupling="mortar"):
     if dim == 2:
         parts = {"upper": am.Rectangle(width=1.0, height=0.6, origin=(0.0, 0.5)),
                  "lower": am.Rectangle(width=1.5, height=0.5)}
-        material, divisions, up = am.PlaneStrain(young=1e10, poisson=0.3), {"upper": (5, 3), "lower": (6, 3)}, "y"
+        kind, up, divisions = am.PlaneStrain, "y", {"mortar": ((5, 3), (6, 3)), "nodes": ((4, 2), (6, 2))}
     else:
         parts = {"upper": am.Box(width=1.0, depth=1.0, height=0.6, origin=(0.0, 0.0, 0.5)),
                  "lower": am.Box(width=1.5, depth=1.0, height=0.5)}
-        material, divisions, up = am.Solid(young=1e10, poisson=0.3), {"upper": (3, 2, 2), "lower": (4, 3, 2)}, "z"
-    if coupling == "nodes":
-        divisions = {"upper": (4, 2), "lower": (6, 2)} if dim == 2 else {"upper": (2, 2, 1), "lower": (3, 2, 2)}
+        kind, up, divisions = am.Solid, "z", {"mortar": ((3, 2, 2), (4, 3, 2)), "nodes": ((2, 2, 1), (3, 2, 2))}
     domain = am.Assembly(parts=parts)
     posed = am.ContactProblem(
-        domain=domain, material=material, law=law,
+        domain=domain, material=kind(young=1e10, poisson=0.3), law=law,
         contact=am.ContactPair("upper.bottom", "lower.top", gap=gap, coupling=coupling),
         loads=(am.Pressure("upper.top", lambda x: 1e7 * (0.2 + x[:, 0])),),
         supports=(am.Support("upper.left", x=0.0), am.Support("lower.left", x=0.0),
                   am.Support("lower.bottom", **{up: 0.0}), am.Support("lower.right", x=1e-6),
                   *((am.Support(f"{body}.front", y=0.0) for body in parts) if dim == 3 else ())))
-    mesh = structured(domain, divisions)
+    mesh = structured(domain, dict(zip(parts, divisions[coupling], strict=True)))
     return posed, mesh, discretise(posed, mesh)
 
 

@@ -127,13 +127,12 @@ def test_the_natural_residual_is_the_jacobi_step(case):
 
 
 @every_network
-@pytest.mark.parametrize("options", [{}, {"omega": 1.3, "order": "symmetric"},
-                                     {"order": "backward", "friction_update": 2}], ids=str)
-def test_sweeps_converge_to_the_solution_of_the_dual_problem(dim, law, options):
+def test_sweeps_converge_to_the_solution_of_the_dual_problem(dim, law):
     problem, exact, _ = posed(f"network {dim}D {law}")
-    w = np.zeros(problem.system.n_dofs)
-    smooth(problem, w, 400, **options)
-    np.testing.assert_allclose(w, exact, atol=1e-11)
+    for options in ({}, {"omega": 1.3, "order": "symmetric"}, {"order": "backward", "friction_update": 2}):
+        w = np.zeros(problem.system.n_dofs)
+        smooth(problem, w, 400, **options)
+        np.testing.assert_allclose(w, exact, atol=1e-11)
     local, p = w.reshape(-1, dim)[problem.system.nodes], normal_force(problem.system, problem.load, w)
     force = residual(problem.system, problem.load, w).reshape(-1, dim)[problem.system.nodes]
     np.testing.assert_allclose(p, np.maximum(force[:, 0], 0.0), atol=1e-13)

@@ -14,7 +14,6 @@ from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.record import Outcome
 
 EXACT = am.ActiveSet(rtol=1e-12)
-STEEL = am.PlaneStrain(young=2.1e11, poisson=0.3)
 ROUNDING = 1e-13  # relative energy errors below say nothing
 LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(2e7), "coulomb": am.Coulomb(1.0)}
 
@@ -231,14 +230,9 @@ def test_it_is_printed_saved_and_computed_again(tmp_path):
 
 def test_faults_of_friction_at_supports_are_caught():
     """Nodes that a support drives along the contact: friction acts there as everywhere."""
-    parts = {"pad": am.Rectangle(width=40e-3, height=20e-3),
-             "plate": am.Rectangle(width=80e-3, height=20e-3, origin=(-20e-3, -20e-3))}
-    problem = am.ContactProblem(
-        domain=am.Assembly(parts=parts), material=STEEL, law=am.Coulomb(0.4),
-        contact=am.ContactPair("pad.bottom", "plate.top"), loads=(am.Pressure("pad.top", 1e7),),
-        supports=(am.Support("pad.left", x=0.0), am.Support("pad.right", x=0.0),
-                  am.Support("plate.bottom", x=1e-3, y=0.0)))
-    hierarchy = am.Hierarchy.uniform(problem, [{"pad": (k, k // 2), "plate": (2 * k, k // 2)} for k in (4, 8)])
+    problem = replace(bar_on_block(am.Coulomb(0.4)), loads=(am.Pressure("upper.top", 1e7),), supports=(
+        am.Support("upper.left", x=0.0), am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=1e-3, y=0.0)))
+    hierarchy = bar_hierarchy(problem, 2)
     # 1 mm of slip against micrometres of strain: fewer digits
     discrete, result = hierarchy.finest.discrete, am.solve(hierarchy, am.ActiveSet(rtol=1e-10))
     contact = result.contact

@@ -18,12 +18,12 @@ def near(request):
     return grids, exact, discrete.physical(grids.finest.prolongation @ grids[1].discrete.relative(below))
 
 
-@pytest.mark.parametrize("rtol", [1e-2, 1e-6])
-def test_it_leaves_no_larger_error_than_it_says(near, rtol):
+def test_it_leaves_no_larger_error_than_it_says_from_wrong_starts_too(near):
     grids, exact, start = near
-    result = am.solve(grids, WarmMultigrid(rtol=rtol), start=start)
-    assert result.status.ok and result.rtol == rtol
-    assert distance(grids.finest.discrete, result.displacement, exact) <= 2.5 * rtol
+    for rtol, begin in ((1e-2, start), (1e-6, start), (1e-6, -start)):
+        result = am.solve(grids, WarmMultigrid(rtol=rtol), start=begin)
+        assert result.status.ok and result.rtol == rtol
+        assert distance(grids.finest.discrete, result.displacement, exact) <= 2.5 * rtol
 
 
 def test_one_cycle_may_do(near):
@@ -36,12 +36,6 @@ def test_one_cycle_may_do(near):
     assert am.solve(grids, WarmMultigrid(rtol=1e-6), start=exact).cycles <= 2
     cycles = [am.solve(grids, WarmMultigrid(rtol=2e-2, first_rate=rate), start=start).cycles for rate in (0.05, 0.95)]
     assert cycles[0] <= cycles[1]
-
-
-def test_a_start_that_is_wrong_is_solved_all_the_same(near):
-    grids, exact, start = near
-    result = am.solve(grids, WarmMultigrid(rtol=1e-6), start=-start)
-    assert distance(grids.finest.discrete, result.displacement, exact) <= 2.5e-6
 
 
 def test_it_needs_a_start_and_a_rate():
