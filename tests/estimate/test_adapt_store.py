@@ -21,7 +21,8 @@ COARSE, NODES, UPSET = 8e-3, 300, upset()
 CHILD = """
 import sys
 import adaptmg as am
-for step in am.adapt(am.cases.upset_block(law=am.Coulomb(0.5)), 8e-3, engine=am.Bisect(), max_nodes=300, store=sys.argv[1]):
+problem, folder = am.cases.upset_block(law=am.Coulomb(0.5)), sys.argv[1]
+for step in am.adapt(problem, 8e-3, engine=am.Bisect(), max_nodes=300, store=folder):
     print(step.number, flush=True)
 """
 
@@ -49,7 +50,7 @@ def copied(kept, whole, tmp_path) -> Path:
 
 #: the number of steps before a loop is broken off, and its options
 KINDS = {
-    "at once": (0, {}), "after a step": (1, {}), "after three": (3, {}),
+    "after a step": (1, {}), "after three": (3, {}),
     "remesh": (2, {"engine": am.Remesh(refinements=0)}), "coarsen": (2, {"engine": am.Bisect(coarsen=0.05)}),
     "levels": (2, {"problem": UPSET, "start": am.Hierarchy.uniform(UPSET, (2, 3, 6)), "max_nodes": 200}),
     "goal": (1, {"start": 10e-3, "indicator": am.Goal(am.Displacement((0.0, 0.02), "x")), "max_nodes": 90}),

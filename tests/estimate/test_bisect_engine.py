@@ -94,19 +94,16 @@ def test_coarsening_follows_a_moving_front():
     mesh, plain = followed(am.Bisect(coarsen=0.02)), followed(am.Bisect())
     assert MESH.n_nodes < mesh.n_nodes < 0.8 * plain.n_nodes
     assert mesh.volumes.sum() == pytest.approx(MESH.volumes.sum(), rel=1e-12)
-    # what is marked is never taken back
+    # what is marked is never taken back, and less is taken than the marks gain
     estimate = am.Estimate(squares=np.ones(len(mesh.elements)), norm=1.0)
     marked = random_mask(mesh, 0.9, 1)
     both = [e.refine(PROBLEM, mesh, estimate, marked).n_nodes for e in (am.Bisect(coarsen=0.5), am.Bisect())]
     assert both[0] > mesh.n_nodes and both[0] <= both[1]
-
-
-def test_coarsening_takes_less_than_the_marks_gain():
     fine = bisect(MESH, np.ones(len(MESH.elements), dtype=bool))[0]
     squares = np.where(np.arange(len(fine.elements)) < 3, 1.0, 1e-4)
-    estimate, marked = am.Estimate(squares=squares, norm=1.0), squares == 1.0
     for part in (0.005, 0.5):
-        assert verified(am.Bisect(coarsen=part).refine(PROBLEM, fine, estimate, marked)).n_nodes > fine.n_nodes
+        finer = am.Bisect(coarsen=part).refine(PROBLEM, fine, am.Estimate(squares=squares, norm=1.0), squares == 1.0)
+        assert verified(finer).n_nodes > fine.n_nodes
 
 
 def test_rectangles_and_boxes_begin_with_a_regular_mesh():
@@ -117,9 +114,6 @@ def test_rectangles_and_boxes_begin_with_a_regular_mesh():
     assert first(am.cases.greco_block(depth=10e-3), 20e-3).n_nodes == 27
     assert first(am.cases.two_block_patch(size=0.1), 0.05).bodies == ("upper", "lower")
     assert first(am.cases.dovetail(), 5e-3) is None
-    first, other = (next(am.adapt(problem, 10e-3, engine=engine, max_nodes=30)).hierarchy.finest.mesh
-                    for engine in (am.Bisect(), am.Remesh()))
-    assert first.volumes == pytest.approx(0.5e-4) and np.ptp(other.volumes) > 1e-6
 
 
 def test_an_element_that_is_always_marked_becomes_no_smaller_than_coordinates_resolve():

@@ -73,22 +73,20 @@ def test_it_coarsens_where_the_error_is_small_but_contact_keeps_nodes():
     assert len(mesh.boundary_nodes("bottom")) >= 5
 
 
-@settings(max_examples=5, deadline=None)
-@given(growth=st.floats(1.3, 4), most=st.integers(200, 5000), exponent=st.floats(0.5, 1.5))
-def test_number_of_nodes(growth, most, exponent):
+def test_number_of_nodes():
     problem = am.cases.upset_block()
     mesh = graded(problem.domain, 2.5e-3)
-    fine = am.Remesh(growth=growth).refine(problem, mesh, singular(mesh, problem.domain.lower, exponent), None, most)
-    room = 0.95 * most / mesh.n_nodes
 
-    def aim(growth):
-        """The last two meshes before the most nodes grow alike, by no more than growth^1.2."""
-        near = min(room, room**0.5 if room > growth**1.2 else room)
-        return mesh.n_nodes * (growth if room > growth**2.2 else near)
+    def refined(mesh, exponent, most=None, **options):
+        return am.Remesh(**options).refine(problem, mesh, singular(mesh, problem.domain.lower, exponent), None, most)
 
-    assert fine.n_nodes <= 1.15 * max(aim(growth), aim(min(growth, 2.0)))
+    # the last two meshes before the most nodes grow alike
+    meshes = [mesh]
+    for _ in range(2):
+        meshes.append(refined(meshes[-1], 1.5, 4 * mesh.n_nodes))
+        assert meshes[-1].n_nodes / meshes[-2].n_nodes == pytest.approx((0.95 * 4) ** 0.5, rel=0.15)
     # by no more than twice where sizes fall steeply
-    assert fine.n_nodes >= 0.8 * max(min(aim(growth), aim(min(growth, 2.0))), 0.45 * mesh.n_nodes)
+    assert refined(mesh, 0.5, growth=4.0).n_nodes == pytest.approx(2 * mesh.n_nodes, rel=0.15)
 
 
 @pytest.mark.parametrize(("domain", "refinements"), [

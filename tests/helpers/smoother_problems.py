@@ -66,7 +66,7 @@ def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:
         bound = contact.limit + contact.friction * p
         scale = np.where(size > bound, bound / np.where(size > 0, size, 1), 1)
         new = np.column_stack([p, step[:, 1:] * scale[:, None]])
-        if np.abs(new - force).max() == 0:
+        if np.abs(new - force).max() <= 1e-16 * np.abs(new).max():
             break
         force = new
     load = problem.load.copy()

@@ -16,13 +16,9 @@ from adaptmg.smoother.system import local_system
 from adaptmg.solver.record import Run
 
 
-def problem_2d(law=None):
-    return am.cases.greco_bar(law=am.Coulomb(1.0) if law is None else law)
-
-
 @pytest.fixture(scope="module")
 def hierarchies():
-    bar, block = problem_2d(am.Tresca(3e7)), am.cases.greco_block(law=am.Tresca(3e7))
+    bar, block = am.cases.greco_bar(law=am.Tresca(3e7)), am.cases.greco_block(law=am.Tresca(3e7))
     return {"nested": am.Hierarchy.uniform(bar, divisions=(2, 4, 8)),
             "graded": am.Hierarchy.graded(bar, sizes=(20e-3, 10e-3, 5e-3), contact_ratio=2),
             "L2": am.Hierarchy.graded(bar, sizes=(10e-3, 5e-3), contact_ratio=2, transfer=am.PseudoL2()),
@@ -61,7 +57,7 @@ def test_tresca_energy_never_rises(hierarchies, name, seed, shape, sweeps):
 
 def test_corrections_vanish_at_the_solution_unless_their_choices_are_frozen():
     """The paper's frozen slip and limit move the solution: its mode stalls."""
-    grids = am.Hierarchy.uniform(problem_2d(), divisions=(4, 8))
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     for correction in (am.Monotone(), am.PaperCorrection(slip="minmod", limit="summed")):
         cycle, local, _ = cycle_of(grids, correction=correction, coarse=am.CoarseSolve(rtol=1e-12))
@@ -78,7 +74,7 @@ def test_corrections_vanish_at_the_solution_unless_their_choices_are_frozen():
 
 
 def test_hand_counted_work():
-    grids = am.Hierarchy.uniform(problem_2d(), divisions=(4, 8, 16))
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
     ratio = [level.discrete.matrix.nnz / grids.finest.discrete.matrix.nnz for level in grids.levels]
     coarse = am.CoarseSolve(rtol=1e-30, max_sweeps=8)
     for shape, visits in (("V", 1), ("W", 2), ("F", 2)):

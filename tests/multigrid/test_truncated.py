@@ -1,10 +1,12 @@
-"""The truncated multigrid: agreement with independent solutions, mesh independence, robustness, failure paths."""
+"""The truncated multigrid: agreement with independent solutions, mesh independence, failures, user-defined parts."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from norms import distance
 from scipy import sparse
+from scipy.sparse.linalg import splu
 from smoother_problems import expand
 
 import adaptmg as am
@@ -43,23 +45,21 @@ def test_cycles_and_work_do_not_grow_with_the_mesh():
 
 
 def test_work_units_by_hand():
-    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
-    coarse, fine = (level.matrix.nnz for level in hierarchy.levels)
-    result = am.solve(hierarchy, NESTED)
-    # a pass for each Newton step on the coarsest level
-    steps = result.start_work_units * fine / coarse
+    three = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
+    two = three.truncated(finest=1)
+    coarse, middle, fine = (level.matrix.nnz for level in three.levels)
+    result = am.solve(two, NESTED)
+    # a pass for each Newton step on the coarsest level, which is solved directly
+    steps = result.start_work_units * middle / coarse
     assert steps == pytest.approx(round(steps))
-    # two levels: the coarse one is solved directly
     assert result.work_units - result.start_work_units == pytest.approx(result.cycles + 1)
     # from zero there are safe cycles, half a pass more for each line search
-    cold = am.solve(hierarchy, COLD)
+    cold = am.solve(two, COLD)
     searches = 2 * (cold.work_units - cold.cycles - 1)
     assert searches == pytest.approx(round(searches)) and searches >= 1
-    three = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
-    coarse, fine = (level.matrix.nnz for level in three.levels[1:])
     result = am.solve(three, NESTED)
     assert (result.work_units - result.start_work_units
-            == pytest.approx(result.cycles + 1 + 3 * result.cycles * coarse / fine))
+            == pytest.approx(result.cycles + 1 + 3 * result.cycles * middle / fine))
 
 
 def test_discretisation_tolerance_stops_early_and_below_the_discretisation_error():
@@ -69,10 +69,7 @@ def test_discretisation_tolerance_stops_early_and_below_the_discretisation_error
     result = am.solve(hierarchy, am.FullMultigrid(rtol="discretisation"), reference=reference)
     # every fourth line of the finer grid
     sampled = finer.displacement.reshape(65, 65, 2)[::4, ::4].reshape(-1, 2)
-    error = (sampled - reference.displacement).reshape(-1)
-    size = reference.displacement.reshape(-1)
-    matrix = hierarchy.finest.matrix
-    discretisation = np.sqrt(error @ (matrix @ error) / (size @ (matrix @ size)))
+    discretisation = distance(hierarchy.finest.discrete, sampled, reference.displacement)
     assert result.history["true_error"][-1] < discretisation
     assert result.cycles <= 4 and 0 < result.rtol < 0.1
 
@@ -137,3 +134,89 @@ def test_cycles_of_a_nested_start():
     assert middle.n_nodes < 3 * coarse.n_nodes and start.cycles_on(coarse, middle) == 1
     assert fine.n_nodes > 3 * middle.n_nodes and start.cycles_on(middle, fine) == 2
     assert am.NestedStart(cycles=3).cycles_on(middle, fine) == 3
+
+
+class Factors:
+    """LU factors; it keeps the matrices it was set up for."""
+
+    def __init__(self):
+        self.matrices = []
+
+    def setup(self, matrix):
+        self.matrices.append(matrix.copy())
+        return splu(sparse.csc_array(matrix))
+
+
+class Jacobi:
+    """Damped sweeps: twenty as a coarse solve, two as a smoother; their passes are counted."""
+
+    passes = 20
+
+    def setup(self, matrix):
+        self.matrix, self.diagonal = matrix, matrix.diagonal()
+        return self
+
+    def solve(self, rhs):
+        return self.swept(rhs, np.zeros_like(rhs), self.passes)
+
+    def smooth(self, rhs, x):
+        self.swept(rhs, x, 2)
+        return 2
+
+    def swept(self, rhs, x, sweeps):
+        for _ in range(sweeps):
+            x += 0.6 * (rhs - self.matrix @ x) / self.diagonal
+        return x
+
+
+@pytest.fixture(scope="module")
+def uniform():
+    return am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
+
+
+@pytest.fixture(scope="module")
+def joint():
+    # its coarsest matrix is regular
+    return am.Hierarchy.graded(am.cases.dovetail(), sizes=(12e-3, 8e-3, 5e-3), mesher="netgen")
+
+
+@pytest.fixture(scope="module")
+def spaces(uniform):
+    return am.Hierarchy.algebraic(uniform.finest.discrete, max_coarse=20)
+
+
+def far(a, b):
+    return np.abs(a.displacement - b.displacement).max() / np.abs(b.displacement).max()
+
+
+@pytest.mark.parametrize("grids, method", [
+    ("uniform", am.FullMultigrid), ("uniform", am.Multigrid), ("joint", am.FullMultigrid)])
+def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method, request):
+    grids, own = request.getfixturevalue(grids), Factors()
+    expected = am.solve(grids, method())
+    found = am.solve(grids, method(correction=am.Truncated(coarse_solve=own)))
+    assert found.cycles == expected.cycles and found.work_units == expected.work_units
+    assert far(found, expected) < 1e-8
+    # truncated again with the contact status, and regular: no row is empty
+    assert len(own.matrices) > 1 and all((abs(matrix).sum(axis=1) > 0).all() for matrix in own.matrices)
+
+
+def test_an_iterative_one_is_counted(uniform):
+    own = am.solve(uniform, am.FullMultigrid(correction=am.Truncated(coarse_solve=Jacobi())))
+    exact = am.solve(uniform, am.FullMultigrid())
+    assert own.status.ok and far(own, exact) < 1e-6
+    share = uniform[0].matrix.nnz / uniform.finest.matrix.nnz
+    assert own.work_units > exact.work_units + Jacobi.passes * share * (own.cycles - 1)
+
+
+@pytest.mark.parametrize("grids, method", [("uniform", am.FullMultigrid), ("joint", am.FullMultigrid),
+                                           ("spaces", am.Multigrid)])
+def test_a_smoother_below_the_finest_level(grids, method, request):
+    grids = request.getfixturevalue(grids)
+    assert len(grids) > 2
+    own = am.solve(grids, method(correction=am.Truncated(coarse_smoother=Jacobi())))
+    expected = am.solve(grids, method())
+    assert own.status.ok and own.cycles <= expected.cycles + 4
+    assert far(own, expected) < 1e-6
+    idle = type("Idle", (Jacobi,), {"smooth": lambda self, rhs, x: 0})()
+    assert am.solve(grids, method(correction=am.Truncated(coarse_smoother=idle)), throw=False).cycles > expected.cycles

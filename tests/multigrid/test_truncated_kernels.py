@@ -199,38 +199,6 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     np.testing.assert_allclose(levels[0].matrix().toarray(), coarsest.toarray(), atol=1e-12)
 
 
-@pytest.mark.parametrize("law", ["tresca", "coulomb"])
-@pytest.mark.parametrize("dim", [2, 3])
-def test_the_truncated_residual_has_the_newton_matrix_as_derivative(dim, law):
-    problem, level, contact, load, u = swept(dim, law, 30)
-    contact.linearise_friction()
-    J = newton_matrix(problem, contact, True)
-    rng = np.random.default_rng(2)
-    step = rng.normal(size=u.shape)
-    # a step the truncation lets pass
-    step = np.linalg.pinv(J) @ (J @ step)
-    step[~J.any(axis=0)] = 0.0
-    frames = contact.frames.reshape(-1, dim, dim)
-    values, size = contact.values.copy(), 1e-7
-
-    def truncated(vector: np.ndarray) -> np.ndarray:
-        r = load - level.matrix() @ vector
-        contact.values[:] = np.einsum("nij,nj->ni", frames, vector.reshape(-1, dim)[contact.nodes]).reshape(-1)
-        contact.truncate(r)
-        return r
-
-    for k, node in enumerate(contact.nodes):
-        local = frames[k] @ step.reshape(-1, dim)[node]
-        if contact.codes[k] & 1:
-            local[0] = 0.0
-        if contact.codes[k] & 6 == 2:
-            local[1:] = 0.0
-        step.reshape(-1, dim)[node] = frames[k].T @ local
-    difference = (truncated(u + size * step) - truncated(u - size * step)) / (2 * size)
-    contact.values[:] = values
-    np.testing.assert_allclose(difference, -J @ step, rtol=2e-5, atol=2e-5 * np.abs(J @ step).max())
-
-
 @pytest.mark.parametrize("dim", [1, 2, 3])
 def test_transfers(dim):
     rng = np.random.default_rng(dim)

@@ -5,40 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import sparse
+from smoother_problems import network
 
-from adaptmg import cases
-from adaptmg.discrete import discretise
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
-from adaptmg.mesh import structured
-from adaptmg.problem import Contact, Coulomb, Plane, Support, Tresca
+from adaptmg.problem import Coulomb
 from adaptmg.smoother import system as codes_of
 from adaptmg.smoother.system import OPEN, SLIP, STICK, contact_blocks, contact_codes, inverse_blocks, local_system
 
 RNG = np.random.default_rng(4)
 
 
-def plane() -> DiscreteProblem:
-    """GRECO on a plane at 45 degrees, with a support that lifts."""
-    problem = cases.greco_bar()
-    tilted = Plane(point=(0.0, -0.1), normal=(-1.0, 1.0))
-    problem = replace(problem, contact=Contact("bottom", tilted), supports=(Support("top", x=1e-5, y=-2e-5),))
-    return discretise(problem, structured(problem.domain, 4), slip_reference=RNG.normal(size=(25, 2)))
+def lifted(dim: int) -> DiscreteProblem:
+    """Random links with a fixed tangent at contact, and supports that move."""
+    discrete = network(dim, "coulomb", fixed_tangent=True).discrete
+    return replace(discrete, fixed_values=np.where(discrete.fixed, 1e-5 * RNG.normal(size=discrete.n_dofs), 0.0))
 
 
-def solid() -> DiscreteProblem:
-    """The block with varying normals in the x-z plane and u_y fixed at front and back."""
-    problem = cases.greco_block(law=Tresca(1e5))
-    discrete = discretise(problem, structured(problem.domain, 3))
-    angle = np.linspace(-1, 1, len(discrete.contact))
-    normals = np.column_stack([np.sin(angle), 0 * angle, -np.cos(angle)])
-    fixed = discrete.fixed.reshape(-1, 3).copy()
-    fixed[discrete.contact.nodes, 0] = False
-    contact = replace(discrete.contact, normals=normals, slip_reference=RNG.normal(size=normals.shape))
-    values = np.where(fixed, 1e-5 * RNG.normal(size=fixed.shape), 0.0)
-    return replace(discrete, contact=contact, fixed=fixed.reshape(-1), fixed_values=values.reshape(-1))
-
-
-PROBLEMS = [plane(), solid()]
+PROBLEMS = [lifted(2), lifted(3)]
 
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=["plane", "solid"])

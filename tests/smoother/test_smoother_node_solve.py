@@ -109,10 +109,3 @@ def test_slip_just_beyond_the_bound(size):
     limit = 2.0
     slip = np.array(slip_3d(4.0, 0.0, 4.0, (limit + size) * 0.6, (limit + size) * 0.8, 0.0, 0.0, 0.0, limit, 0.0))
     np.testing.assert_allclose(slip, [0.15 * size, 0.2 * size], rtol=1e-15 * limit / size + 1e-14)
-
-
-def test_no_obstacle():
-    """An infinite gap never closes; the Tresca limit acts all the same."""
-    assert solve_2d(2.0, 0.0, 4.0, 6.0, 3.0, np.inf, 0.0, 1.0, 0.7) == (3.0, 0.5)
-    assert solve_3d(2.0, 0.0, 0.0, 4.0, 0.0, 4.0, 6.0, 3.0, 0.0, np.inf, 0.0, 0.0, 1.0, 0.7) == (3.0, 0.5, 0.0)
-    assert solve_3d(2.0, 0.0, 0.0, 4.0, 0.0, 4.0, 6.0, 0.6, 0.8, np.inf, 0.1, 0.2, 1.0, 0.0) == (3.0, 0.1, 0.2)

@@ -25,7 +25,7 @@ def warned(act):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         act()
-    return [str(one.message) for one in caught], {one.filename for one in caught}
+    return caught
 
 
 BEYOND = {
@@ -46,41 +46,36 @@ def test_a_limit_of_the_theory_is_named_once_at_the_line_of_the_user(message):
             act()
         assert len(caught) == 1 and caught[0].filename == __file__
     for one in within:
-        assert warned(lambda one=one: am.solve(bar(**one)))[0] == []
+        assert not warned(lambda one=one: am.solve(bar(**one)))
 
 
 def test_slips_beyond_an_element_count_between_bodies_alone():
     def pushed(by):
         problem = bar_on_block(am.Coulomb(0.1))
-        supports = tuple(replace(one, x=by) if one.boundary == "upper.right" else one
-                         for one in problem.supports)
-        return bar_hierarchy(replace(problem, supports=supports), 2)
+        first, *others = problem.supports
+        return bar_hierarchy(replace(problem, supports=(replace(first, x=by), *others)), 2)
 
-    assert warned(lambda: am.solve(pushed(1e-5)))[0] == []
+    assert not warned(lambda: am.solve(pushed(1e-5)))
     with pytest.warns(UserWarning, match="more than an element.*small slips"):
         am.solve(pushed(15e-3), throw=False)
 
 
 def test_an_adaptive_loop_warns_once():
     soft = replace(bar().problem, material=am.PlaneStrain(young=1.3e8, poisson=0.495))
-    said, where = warned(lambda: list(am.adapt(soft, max_nodes=400)))
-    assert sorted(text.split()[0] for text in said) == ["material", "strains"] and where == {__file__}
+    caught = warned(lambda: list(am.adapt(soft, max_nodes=400)))
+    assert sorted(str(one.message).split()[0] for one in caught) == ["material", "strains"]
+    assert {one.filename for one in caught} == {__file__}
 
 
-#: what some cases are about
-EXPECTED = {"leaning_strut": "may not be unique"}
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", am.cases.names())
 def test_no_case_is_beyond_the_theory_and_every_one_adapts_without_options(name):
-    problem = am.cases.get(name).function()
-    said, _ = warned(lambda: next(iter(am.adapt(problem))))
-    assert all(EXPECTED.get(name, "nothing") in text for text in said), said
+    caught = warned(lambda: next(am.adapt(am.cases.get(name).function())))
+    # what the strut is about
+    assert all(name == "leaning_strut" and "may not be unique" in str(one.message) for one in caught), caught
 
 
 def test_one_mesh_takes_the_quickest_method_and_a_given_one_stays(monkeypatch, tmp_path):
-    grids = bar(divisions=(32,))
+    grids = bar(divisions=(21,))
     result = am.solve(grids)
     assert result.solver_name.startswith("ActiveSet(") and "the quickest is the active set method" in repr(result)
     assert am.solve(grids.finest.discrete).choice == result.choice
@@ -91,8 +86,7 @@ def test_one_mesh_takes_the_quickest_method_and_a_given_one_stays(monkeypatch, t
     assert large.solver_name == "Multigrid()" and "coarse spaces" in repr(large) and len(large.levels) > 1
     assert large.mesh is grids.finest.mesh and "transfer" in large.timings
     assert large.displacement == pytest.approx(result.displacement, abs=1e-7 * np.abs(result.displacement).max())
-    pair = am.Hierarchy.from_meshes((posed := bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 3)).problem,
-                                    (posed.finest.mesh,))
+    pair = bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 3).truncated(coarsest=2)
     assert am.solve(pair).status.ok and am.solve_path(pair, am.LoadPath({"upper.left": [0.5, 1.0]})).complete
     given = am.solve(grids, am.SingleGrid(rtol=1e-3))
     assert given.solver_name == "SingleGrid(rtol=0.001)" and given.choice == "" and "solver=None" not in repr(given)
@@ -114,7 +108,6 @@ def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
     assert steps.complete
     meshes = list(am.adapt(grids.problem, max_nodes=300, progress=True))
     assert len(capsys.readouterr().err.splitlines()) == 2 * len(meshes)
-    for name, act in {"progress": lambda: am.solve(grids, progress=1),
-                      "progress must be None": lambda: am.adapt(grids.problem, progress="bar")}.items():
-        with pytest.raises(TypeError, match=name):
-            act()
+    for call in (lambda: am.solve(grids, progress=1), lambda: am.adapt(grids.problem, progress="bar")):
+        with pytest.raises(TypeError, match="progress must be"):
+            call()

@@ -1,5 +1,6 @@
-"""Rigid-body statics: what contact can hold passes, what it cannot is named."""
+"""Rigid-body statics: what contact can hold passes, what it cannot is named; friction with several solutions."""
 
+import warnings
 from dataclasses import replace
 from functools import partial
 
@@ -8,7 +9,7 @@ import pytest
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.solver.statics import check_statics
+from adaptmg.solver.statics import check_statics, critical_friction
 
 FLOOR = am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0)))
 GROUND = am.Contact("bottom", am.Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
@@ -44,8 +45,7 @@ STANDING = {
     "by friction at one node": plate(law=am.Coulomb(lambda x: np.where(x[:, 0] == 2.0, 0.1, 0.0))),
     "enclosed": plate(loads=(), contact=tuple(am.Contact(name, TOUCHING) for name in PLATE.boundaries)),
     "above a gap": plate(contact=am.Contact("bottom", am.Plane(point=(0.0, -1.0), normal=(0.0, 1.0))), supports=LEFT),
-    "small": plate(law=am.Coulomb(0.5), loads=weight(0.4e-9, -1e-9)),
-    "large": plate(law=am.Coulomb(0.5), loads=weight(0.4e9, -1e9)),
+    **{f"loads {size:g}": plate(law=am.Coulomb(0.5), loads=weight(0.4 * size, -size)) for size in (1e-9, 1e9)},
     # 4 m of contact under a limit of .25 bear a side load of 1 on 4 m2
     "below the limit": plate(law=am.Tresca(0.25), loads=weight(0.25 * 0.999, -1.0)),
     # weight 1 on 4 m2 at lever 2 m against a push at lever 1/2 m: tips about the right foot beyond slope 4
@@ -67,8 +67,8 @@ FALLING = {
     "no load": (plate(loads=(), supports=LEFT), "nothing presses the body against its obstacle: a translation along y"),
     "squeezed": (plate(law=am.Coulomb(0.5), loads=(am.Pressure("left", 1.0), am.Pressure("right", 1.0))),
                  "nothing presses the body"),
-    "small": (plate(law=am.Coulomb(0.5), loads=weight(0.6e-9, -1e-9)), "nothing holds"),
-    "large": (plate(law=am.Coulomb(0.5), loads=weight(0.6e9, -1e9)), "nothing holds"),
+    **{f"loads {size:g}": (plate(law=am.Coulomb(0.5), loads=weight(0.6 * size, -size)), "nothing holds")
+       for size in (1e-9, 1e9)},
     "solid free to slide": (block(supports=SIDES[:1]), "not unique: a translation along y"),
     "solid lifted": (block(law=am.Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)), "nothing holds a translation along z"),
     "solid spun": (block(law=am.Coulomb(0.1), loads=SPIN), "rotation about the axis along z through"),
@@ -152,3 +152,52 @@ class TestBareProblems:
     def test_lone_nodes_are_no_bodies(self):
         # nodes decoupled from all others (eliminated by the user, say) are held by their own diagonal
         check_statics(self.beside(plate(supports=LEFT), sparse.eye_array(6), np.ones(6), np.zeros((3, 2))))
+
+
+@pytest.fixture(scope="module")
+def strut():
+    return am.Hierarchy.graded(am.cases.leaning_strut(), sizes=(20e-3, 10e-3, 5e-3), contact_ratio=2)
+
+
+def with_friction(grids, law):
+    return am.Hierarchy.from_meshes(replace(grids.problem, law=law), [level.mesh for level in grids.levels])
+
+
+@pytest.mark.filterwarnings("ignore:friction:RuntimeWarning")
+def test_the_strut_has_three_equilibria(strut):
+    related = [am.solve(with_friction(strut, law), am.ActiveSet()) for law in (am.Tresca(1e6), am.Frictionless())]
+    found = [am.solve(strut, am.FullMultigrid(rtol=1e-9)),
+             *(am.solve(strut, am.Multigrid(rtol=1e-9), start=start) for start in related)]
+    touching = [result.contact.state[result.contact.state != am.OPEN].tolist() for result in found]
+    assert touching == [[am.STICK], [am.SLIP], []]
+    for result in found:
+        # each is one: Newton steps from it stay, and the conditions of contact hold
+        assert result.residual <= 1e-7
+        again = am.solve(strut, am.ActiveSet(rtol=1e-10), start=result)
+        assert np.abs(again.displacement - result.displacement).max() <= 1e-6 * np.abs(result.displacement).max()
+
+
+def test_a_warning_says_so_but_not_where_friction_is_small(strut):
+    with pytest.warns(RuntimeWarning, match="may not be unique.*start"):
+        am.solve(strut, am.ActiveSet())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        am.solve(with_friction(strut, am.Coulomb(0.1)), am.ActiveSet())
+
+
+def test_the_estimate_against_the_compliance(strut):
+    """From solves with unit forces at a node, on the matrix alone."""
+    discrete = strut[1].discrete
+    critical = critical_friction(discrete)
+    free = np.flatnonzero(~discrete.fixed)
+    matrix = discrete.matrix.toarray()[np.ix_(free, free)]
+    for i in (0, len(critical) // 2):
+        dofs = 2 * discrete.contact.nodes[i] + np.arange(2)
+        n = discrete.contact.normals[i]
+        frame = np.array([n, [-n[1], n[0]]])
+        unit = np.zeros((len(free), 2))
+        unit[np.searchsorted(free, dofs)] = frame.T
+        stiffness = np.linalg.inv(unit.T @ np.linalg.solve(matrix, unit))
+        assert critical[i] == pytest.approx(stiffness[1, 1] / abs(stiffness[0, 1]), rel=1e-8)
+    # a body that contact holds has none
+    assert np.isnan(critical_friction(am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4)).finest.discrete)).all()

@@ -26,8 +26,8 @@ def bar(divisions):
     return solved(am.cases.greco_bar(), divisions=(divisions,))
 
 
-def test_points_of_the_bar_have_their_converged_values(divisions=16):
-    estimate = am.Goal(LINE).indicate(*bar(divisions))
+def test_points_of_the_bar_have_their_converged_values():
+    estimate = am.Goal(LINE).indicate(*bar(16))
     errors = CONVERGED - estimate.values
     effectivity = estimate.errors / errors
     # measured .88 to 1.13; edge by edge the sum would be 1.25 to 1.7 times too large
@@ -38,7 +38,7 @@ def test_points_of_the_bar_have_their_converged_values(divisions=16):
     assert estimate.relative == abs(estimate.signed)
     # the tolerance for solvers is stricter than the energy error, and the algebraic part then below the other
     assert 1e-3 * estimate.discretisation < estimate.relative_energy < 0.2 * estimate.discretisation
-    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, divisions))
+    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
     found = am.Goal(LINE).indicate(hierarchy, am.solve(hierarchy, am.FullMultigrid(rtol=estimate.relative_energy)))
     assert np.abs(found.algebraic).max() < 0.5 * np.abs(found.errors).max()
 
@@ -58,18 +58,17 @@ def test_quantities_are_those_of_the_result():
     slave, master = result.contact.names[0], result.contact.masters[0]
     point = result.contact.x[3]
 
-    def value(quantity):
-        return am.Goal(quantity).indicate(hierarchy, result).value
-
-    assert value(am.Displacement((20e-3, -30e-3), "x")) == pytest.approx(result.probe([(20e-3, -30e-3)])[0, 0])
     mine = result.contact.boundary == 0
-    assert value(am.ContactForce(slave)) == pytest.approx(result.contact.force_n[mine].sum())
-    assert value(am.ContactForce(slave, "tangential")) == pytest.approx(result.contact.force_t[mine].sum())
-    assert value(am.ContactForce(f"{slave} on {master}", "y")) == pytest.approx(result.resultant(slave).force[1])
-    assert value(am.ContactForce(master, "y")) == pytest.approx(result.resultant(master).force[1])
-    assert value(am.Opening(slave, point)) == pytest.approx(result.contact.gap[3], abs=1e-15)
     weights = result.contact.weights[mine]
-    assert value(am.Opening(slave)) == pytest.approx(weights @ result.contact.gap[mine] / weights.sum())
+    for quantity, wanted in (
+            (am.Displacement((20e-3, -30e-3), "x"), result.probe([(20e-3, -30e-3)])[0, 0]),
+            (am.ContactForce(slave), result.contact.force_n[mine].sum()),
+            (am.ContactForce(slave, "tangential"), result.contact.force_t[mine].sum()),
+            (am.ContactForce(f"{slave} on {master}", "y"), result.resultant(slave).force[1]),
+            (am.ContactForce(master, "y"), result.resultant(master).force[1]),
+            (am.Opening(slave, point), result.contact.gap[3]),
+            (am.Opening(slave), weights @ result.contact.gap[mine] / weights.sum())):
+        assert am.Goal(quantity).indicate(hierarchy, result).value == pytest.approx(wanted, rel=1e-6, abs=1e-15)
     # of the bar, at whose corner a support holds a node that sticks
     tangential = am.Goal(am.ContactForce("bottom", "tangential")).indicate(*bar(16)).value
     assert tangential == pytest.approx(bar(16)[1].contact.force_t.sum(), rel=1e-9)
@@ -149,7 +148,6 @@ def test_an_opening_that_all_nodes_hold_closed_is_looked_for_all_the_same():
     assert estimate.squares.min() > 1e-4 * estimate.squares.max()
     steps = list(am.adapt(am.cases.greco_bar(), 20e-3, am.Goal(am.Opening("bottom")), engine=am.Bisect(),
                           max_nodes=150))
-    assert all(isinstance(repr(step), str) for step in steps)
     assert steps[0].estimate.value == 0 and steps[-1].estimate.value > 2e-8 and "max_nodes" in steps[-1].outcome
 
 
@@ -169,7 +167,7 @@ def valley():
 
 @pytest.mark.parametrize(("problem", "point", "sizes"), [
     (disc(am.PlaneStrain), None, (8e-3, 1e-3)), (disc(am.Axisymmetric), None, (8e-3, 1e-3)),
-    (valley(), (0.037, 0.0), (3e-3, 1e-3))], ids=["plane", "axisymmetric", "point before a gap function"])
+    (valley(), (0.037, 0.0), (2e-3, 8e-4))], ids=["plane", "axisymmetric", "point before a gap function"])
 def test_openings_of_curved_boundaries_contain_what_chords_change(problem, point, sizes):
     goal = am.Goal(am.Opening(problem.contact[0].boundary, point=point))
     coarse, fine = (am.Hierarchy.graded(problem, (size,)) for size in sizes)
