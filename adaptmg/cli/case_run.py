@@ -192,14 +192,6 @@ def _check_measures(task: am.ContactProblem, given: Arguments) -> None:
         check_arrays.vector(f"measure.points.{name}", point, task.dim)
 
 
-def _check_size(name: str, size: float, part: Domain) -> None:
-    """Most sizes that are too large are in millimetres."""
-    longest = float((part.upper - part.lower).max())
-    if size > longest:
-        raise ValueError(f"{name}: {size:g} m is more than the body is long ({longest:g} m): sizes are in m, such as "
-                         f"{longest / 4:g}")
-
-
 def _check_hierarchy(task: am.ContactProblem, given: Arguments, adaptive: bool) -> None:
     """ValueError for grids of which some are not from coarse to fine, or would take hours."""
     if adaptive and given:
