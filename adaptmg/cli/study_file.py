@@ -47,25 +47,33 @@ class StudyFile:
     path: Path
     text: str
 
-    def error(self, words: str, place: str) -> ValueError:
-        """Return an error that names the file and the line of a section, or of a key in it."""
-        return _error(self.path, _line(self.text, place), words)
+    def error(self, words: str, cause: WrongSetting) -> ValueError:
+        """Return an error that names the file and the line of what caused it."""
+        return _error(self.path, _line(self.text, cause.place, str(cause)), words)
 
 
-def _error(path: Path, line: int, words: str) -> ValueError:
+def _error(path: Path, line: int, words: object) -> ValueError:
     return ValueError(f"{printable(str(path))}{f', line {line}' if line else ''}: {words}")
 
 
-def _line(text: str, place: str) -> int:
-    """Return the line of a key, else of the section around it, else 0."""
-    here, best = "", (0, 0)
+def _line(text: str, place: str, words: str) -> int:
+    """Return the line of a key, else of a key in that section which a message names, else of the section, else 0."""
+    here, found = "", {}
     for number, line in enumerate(text.splitlines(), 1):
         header, key = re.match(r"\s*\[+([^\[\]]+)\]", line), re.match(r"\s*([^\s=#\[][^=#]*?)\s*=", line)
         here = re.sub("[\"'\\s]", "", header[1]) if header else here
         name = here if header else ".".join(filter(None, (here, re.sub("[\"'\\s]", "", key[1])))) if key else ""
-        if name and f"{place}.".startswith(f"{name}.") and len(name) > best[0]:
-            best = len(name), number
-    return best[1]
+        found = {name.removeprefix("vary."): number, name: number} | found
+    inside = [name for name in found if name.startswith(f"{place}.")] if place not in found or "." not in place else ()
+    for part in (0, 1, -1):
+        shown = {name: re.search(rf"(?<![\w.-]){re.escape('.'.join(name.split('.')[part:]))}(?![\w-])", words)
+                 for name in inside}
+        if named := {name: match.start() for name, match in shown.items() if match}:
+            # a message may name the case too
+            return found[min(named, key=lambda name: (name.endswith("case.case"), named[name]))]
+    while place and place not in found:
+        place = place.rpartition(".")[0]
+    return found.get(place, 0)
 
 
 def read(path: str | os.PathLike[str]) -> StudyFile:
@@ -88,7 +96,7 @@ def read(path: str | os.PathLike[str]) -> StudyFile:
     try:
         return _checked(file, text, parsed)
     except WrongSetting as error:
-        raise _error(file, _line(text, error.place), str(error)) from None
+        raise _error(file, _line(text, error.place, str(error)), error) from None
 
 
 def _checked(path: Path, text: str, content: dict[str, object]) -> StudyFile:
@@ -124,7 +132,7 @@ def _check_sections(content: Mapping[str, object]) -> None:
             owners = [f" (it belongs below [{section}])" for section, known in sections().items() if name in known]
             hint = owners[0] if owners else checks.suggestion(name, [*PURPOSE, "name", "store"])
             raise WrongSetting(f"there is no section {name!r}{hint}; there are {', '.join(PURPOSE)}, and before them "
-                               "name and store", name)
+                               "name and store", f"{name}.")
         elif not isinstance(value, dict):
             raise WrongSetting(f"{name} must be one section, [{name}], got {checks.shown(value)}", name)
     for name in ("case", "vary"):
@@ -171,10 +179,8 @@ def _design(content: Mapping[str, object], values: dict[str, list[Value]]) -> De
         return made if repeats == 1 else Repeated(made, repeats, name="repeat")
     except (TypeError, ValueError) as error:
         words = re.sub(r"(?:parameters|ranges)\['([^']*)'\]", r"\1", str(error))
-        named = next((f"vary.{name}" for name in values if f"'{name}'" in str(error)), "")
-        key = re.match(r"(?:design\.)?(\w+)\b", words)
-        raise WrongSetting(words, f"design.{key[1]}" if key and key[1] in content.get("design", {}) else
-                           named or ("design" if "design" in content else "vary")) from None
+        of_design = any(re.search(rf"\b{key}\b", words) for key in content.get("design", {}))
+        raise WrongSetting(words, "design" if of_design else "vary") from None
 
 
 def _options(given: Mapping[str, object], settings: list[str]) -> dict[str, Value]:
@@ -215,28 +221,17 @@ def checked(file: StudyFile, store: Path | None) -> Study:
             check({**file.fixed, **point})
         except WrongSetting as error:
             varied = ", ".join(f"{name} = {value!r}" for name, value in point.items())
-            raise file.error(f"with {checks.shown(varied)[1:-1]}: {error}", _place(file, error)) from None
+            raise file.error(f"with {checks.shown(varied)[1:-1]}: {error}", error) from None
     return Study(case_run, file.design, store, name=file.name, fixed=file.fixed)
-
-
-def _place(file: StudyFile, error: WrongSetting) -> str:
-    places = {name: f"vary.{name}" if name in file.design.names else name for name in (*file.design.names, *file.fixed)
-              if name.startswith(f"{error.place}.")}
-    for part in (0, 1, -1):
-        words = {name: ".".join(name.split(".")[part:]) for name in places}
-        found = {name: re.search(rf"(?<![\w.-]){re.escape(words[name])}(?![\w-])", str(error)) for name in places}
-        if named := {name: match.start() for name, match in found.items() if match}:
-            # a message may name the case too
-            return places[min(named, key=lambda name: (name == "case.case", named[name]))]
-    return error.place
 
 
 def check_options(file: StudyFile, options: Mapping[str, Value]) -> None:
     """Raise ValueError for limits that need workers, before a store is made."""
     for key in ("limit_s", "memory_limit"):
         if options.get(key) is not None and options.get("workers") is None and options.get("scheduler") is None:
-            raise file.error(f"run.{key} needs workers, in the file or as --workers 1 or more: a run in this process "
-                             "cannot be stopped", f"run.{key}")
+            words = (f"run.{key} needs workers, in the file or as --workers 1 or more: a run in this process cannot be "
+                     "stopped")
+            raise file.error(words, WrongSetting(words, f"run.{key}"))
 
 
 def unsolved(table: pd.DataFrame) -> int:
