@@ -15,7 +15,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,7 @@ import numpy as np
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg.cases import get
-from adaptmg.estimate.step import Limits
 from adaptmg.mesh.grading import sensible_sizes
-from adaptmg.problem.load_path import names_in_path
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.solver.record import Solver
 from adaptmg.study.record import Value
@@ -66,8 +63,6 @@ _NODES = 3000
 #: arguments that settings cannot give
 _APART = ("self", "problem", "store", "depends", "progress", "scheduler", "solver", "load_path", "coarse_solve",
           "coarse_smoother", "flanges")
-#: nodes of grids that are refused before anything runs
-_MOST_NODES = {2: 5e6, 3: 2e6}
 
 
 class WrongSetting(ValueError):
@@ -172,6 +167,8 @@ def _default(value: object) -> str:
 
 
 _SEE = re.compile(r"(?:[Aa]s in|see) :func:`~?adaptmg\.cases\.\w+\.(\w+)`")
+#: names, type and text of an argument in a docstring
+_ARGUMENT = re.compile(r"^(\w[\w, ]*?)(?: : (.*)|)\n((?: {4}.*\n|\n)*)", re.MULTILINE)
 
 
 @cache
@@ -180,21 +177,12 @@ def _documented(function: Maker) -> dict[str, tuple[str, str]]:
     found: dict[str, tuple[str, str]] = {}
     for base in function.__mro__[1:-1] if isinstance(function, type) else ():
         found = _documented(base) | found
-    lines = (inspect.getdoc(function) or "").splitlines()
-    start = lines.index("Parameters") + 2 if "Parameters" in lines else len(lines)
-    texts: dict[str, list[str]] = {}
-    names: list[str] = []
-    for line, following in pairwise([*lines[start:], "", ""]):
-        if following.startswith("---"):
-            break
-        if line and not line.startswith(" "):
-            head, _, kind = line.partition(" : ")
-            names = head.split(", ")
-            texts |= {name: [kind, kind if kind.startswith("see") else ""] for name in names}
-        else:
-            for name in names:
-                texts[name][1] += f" {line.strip()}"
-    return found | {name: (kind, _first_sentence(name, text)) for name, (kind, text) in texts.items()}
+    _, _, listed = (inspect.getdoc(function) or "").partition("Parameters\n----------\n")
+    listed = re.split(r"\n\w+\n-{3,}\n", listed)[0]
+    for names, kind, text in _ARGUMENT.findall(f"{listed}\n\n"):
+        for name in names.split(", "):
+            found[name] = kind, _first_sentence(name, f"{kind if kind.startswith('see') else ''} {text}")
+    return found
 
 
 def _first_sentence(name: str, text: str) -> str:
@@ -202,8 +190,8 @@ def _first_sentence(name: str, text: str) -> str:
     if refers:
         return _documented(get(refers[1]).function)[name][1]
     known = {"young": "Young's modulus, Pa", "poisson": "Poisson's ratio"}
-    text = text.replace("Pa, and a number", known.get(name, "Pa, and a number"))
-    return re.split(r"(?<=[^.])\.\s+(?=[A-Z])", _unmarked(text))[0].rstrip(".")
+    text = " ".join(_unmarked(text).split()).replace("Pa, and a number", known.get(name, "Pa, and a number"))
+    return re.split(r"(?<=[^.])\.\s+(?=[A-Z])", text)[0].rstrip(".")
 
 
 def _unmarked(text: str) -> str:
@@ -274,36 +262,6 @@ def _by_level(name: str, table: Arguments) -> Arguments | list[Arguments]:
     return [dict(zip(table, row, strict=True)) for row in zip(*lists, strict=True)]
 
 
-def check(settings: Settings) -> None:
-    """Make problem, path, method and arguments without meshing; WrongSetting for settings that are refused."""
-    def hierarchy(given: Arguments) -> None:
-        if not section(settings, "adapt"):
-            _check_grids(task, _grid_arguments(task, given)[1])
-        elif given:
-            raise ValueError("give [hierarchy] or [adapt], not both: adaptation makes its own meshes")
-
-    def adapt(given: Arguments) -> None:
-        if given:
-            found = adaptation(settings)
-            Limits(**{limit: found[limit] for limit in ("tolerance", "max_nodes", "max_seconds") if limit in found})
-            for part in _parts(task).values() if "start" in found else ():
-                _check_size("adapt.start", checks.quantity("start", found["start"], positive=True), part)
-
-    task = _in_section("case", settings, problem_of)
-    _in_section("load_path", settings, lambda given: _check_path(task, load_path(settings)))
-    _in_section("hierarchy", settings, hierarchy)
-    _in_section("solver", settings, solver_of)
-    _in_section("adapt", settings, adapt)
-    _in_section("measure", settings, lambda given: _check_measures(task, given))
-
-
-def _in_section(name: str, settings: Settings, make: Maker) -> Any:
-    try:
-        return make(section(settings, name))
-    except (ValueError, TypeError) as error:
-        raise WrongSetting(error, name) from error
-
-
 def problem_of(given: Arguments) -> am.ContactProblem:
     """Return the problem of a case with its arguments; friction or limit alone choose the law."""
     name = given.pop("case")
@@ -371,7 +329,7 @@ def _plain(name: str, value: object, place: str) -> Value:
 
 
 def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Value]:
-    """Return the settings that the options of a command give as texts, checked; lists have commas."""
+    """Return the settings that the options of a command give as texts; lists have commas."""
     get(case)
     known, found = sections() | {"case": case_keys(case) | sections()["case"]}, {"case.case": case}
     for name, text in texts.items():
@@ -381,7 +339,6 @@ def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> d
         found[name] = setting(known, name, (value,) if listed and not isinstance(value, tuple) else value, name)
     if adaptive and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(found):
         found["adapt.max_nodes"] = _NODES
-    check(found)
     return found
 
 
@@ -405,14 +362,6 @@ def load_path(settings: Settings) -> am.LoadPath | None:
                        given.get("default", 1.0)) if given else None
 
 
-def _check_path(task: am.ContactProblem, path: am.LoadPath | None) -> None:
-    known = names_in_path(task)
-    for name in path.factors if path is not None else ():
-        if name not in known:
-            raise ValueError(f"load_path.{name}: the problem has no load there{checks.suggestion(name, known)}; it has "
-                             f"loads on {', '.join(known)}")
-
-
 def solver_of(given: Arguments) -> Solver:
     """Return the method; ``max_cycles`` stands for the limit of each."""
     name = given.pop("method", name_of(am.FullMultigrid))
@@ -431,32 +380,21 @@ def adaptation(settings: Settings) -> Arguments:
     return {**found, "load_path": load_path(settings), "solver": solver_of(solver) if solver else None}
 
 
-def _check_measures(task: am.ContactProblem, given: Settings) -> None:
-    for name, point in section(given, "points").items():
-        if len(point) != task.dim:
-            raise ValueError(f"measure.points.{name} must have {task.dim} coordinates, got {checks.shown(point)}")
-    known = ("contact", *task.domain.boundaries)
-    for name in given.get("forces_on", ()):
-        if name not in known:
-            raise ValueError(f"measure.forces_on: there is no boundary {name!r}{checks.suggestion(name, known)}; there "
-                             f"are {', '.join(known)}")
-
-
 def sensible_grids(task: am.ContactProblem) -> Arguments:
     """Return the arguments of a hierarchy for a problem: they follow the size of bodies and of contact boundaries."""
-    if _are_blocks(task):
+    if are_blocks(task):
         return {"divisions": _DIVISIONS[task.dim]}
     return dict(zip(("sizes", "contact_ratio"), sensible_sizes(task.domain, task.pair_boundaries), strict=True))
 
 
 def grids(task: am.ContactProblem, given: Arguments) -> am.Hierarchy:
     """Return uniform grids, independent ones where sizes are given, or one of either bisected at contact."""
-    constructor, arguments, levels = _grid_arguments(task, given)
+    constructor, arguments, levels = grid_arguments(task, given)
     found = constructor(task, **arguments)
     return found if levels is None else am.Hierarchy.bisected(task, found.levels[0].mesh, levels)
 
 
-def _grid_arguments(task: am.ContactProblem, given: Arguments
+def grid_arguments(task: am.ContactProblem, given: Arguments
                     ) -> tuple[Callable[..., am.Hierarchy], Arguments, int | None]:
     """The constructor of a hierarchy with its arguments, and how often the mesh is bisected."""
     sized, divided = (any(key.split(".")[0] == name for key in given) for name in ("sizes", "divisions"))
@@ -478,51 +416,11 @@ def _grid_arguments(task: am.ContactProblem, given: Arguments
     return constructor, arguments, levels
 
 
-def _parts(task: am.ContactProblem) -> dict[str, Domain]:
+def parts(task: am.ContactProblem) -> dict[str, Domain]:
+    """Return the domains of the bodies by name."""
     return getattr(task.domain, "parts", {"": task.domain})
 
 
-def _are_blocks(task: am.ContactProblem) -> bool:
-    return all(isinstance(part, am.Rectangle | am.Box) for part in _parts(task).values())
-
-
-def _check_size(name: str, size: float, part: Domain) -> None:
-    """Most sizes that are too large are in millimetres."""
-    longest = float((part.upper - part.lower).max())
-    if size > longest:
-        raise ValueError(f"{name}: {size:g} m is more than the body is long ({longest:g} m): sizes are in m, such as "
-                         f"{longest / 4:g}")
-
-
-def _check_grids(task: am.ContactProblem, arguments: Arguments) -> None:
-    """ValueError for grids of which some are not from coarse to fine, or would take hours."""
-    parts, sized = _parts(task), "sizes" in arguments
-    key = "sizes" if sized else "divisions"
-    rows, name = arguments[key], f"hierarchy.{key}"
-    if not sized and not _are_blocks(task):
-        raise ValueError("hierarchy.divisions are for rectangles and boxes, which this case is not: give "
-                         "hierarchy.sizes = [10e-3, 5e-3] (element sizes in m, coarse to fine)")
-    if not isinstance(rows, tuple | list) or not rows:
-        raise TypeError(f"{name} must be a list of {'sizes in m' if sized else 'whole numbers'}, got "
-                        f"{checks.shown(rows)}")
-    for body, part in parts.items():
-        values = [row.get(body, 1) if isinstance(row, dict) else row for row in rows]
-        if any(isinstance(value, tuple) for value in values):
-            continue
-        values = [checks.quantity(name, v, positive=True) if sized else checks.integer(name, v, 1, 10**9)
-                  for v in values]
-        if any(a <= b if sized else a >= b for a, b in pairwise(values)):
-            raise ValueError(f"{name} must go from coarse to fine, got {checks.shown(values)}")
-        ratio = arguments.get("contact_ratio", 1.0)
-        ratio = ratio.get(body, 1.0) if isinstance(ratio, dict) else ratio
-        if not checks.quantity("hierarchy.contact_ratio", ratio) >= 1:
-            raise ValueError(f"hierarchy.contact_ratio must be >= 1, got {ratio}")
-        if sized:
-            _check_size(name, values[0], part)
-        # the bodies fill a part of their boxes; elements along contact are counted, not in the plane
-        cells = (part.upper - part.lower) / values[-1]
-        nodes = max(float(np.prod(cells)) / 10, float(cells.max()) * ratio * 50) if sized else \
-            len(parts) * (values[-1] + 1.0)**task.dim
-        if nodes > _MOST_NODES[task.dim]:
-            raise ValueError(f"{name}: {values[-1]:g} makes about {nodes:.0e} nodes, at most "
-                             f"{_MOST_NODES[task.dim]:.0e} are run")
+def are_blocks(task: am.ContactProblem) -> bool:
+    """Whether structured grids can be made."""
+    return all(isinstance(part, am.Rectangle | am.Box) for part in parts(task).values())

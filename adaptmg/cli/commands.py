@@ -115,12 +115,12 @@ def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
     add = made(_runs, "show the runs in a store", "results/bar.sqlite --where case.friction=0.2 --where \"cycles>20\" "
                "--to friction.csv", "Without --study those of its one study, or the list of its studies.")
     _add_store(add)
-    add("--status", metavar="STATUS", help="only runs that are 'done' or 'failed'")
+    add("--status", choices=("done", "failed"), help="only runs that are 'done' or 'failed'")
     add("--where", metavar="CONDITION", action="append", default=[],
         help="only runs with NAME=VALUE, or with !=, <, <=, >, >= and a number; several times: all of them")
     add("--details", action="store_true", help="also tries, memory, machine, commit ...")
     add("--limit", metavar="ROWS", type=int, default=50, help="rows that are printed at most; JSON and files have all")
-    add("--to", metavar="FILE", type=Path, help="write all of them: .csv, .tex, or .parquet (which needs pyarrow)")
+    add("--to", metavar="FILE", type=Path, help="write all of them: .csv or .tex")
     add("--take-in", metavar="STORE", type=Path, help="first copy the runs of another store into this one")
     _add_json(add)
     add = made(_report, "write a page that opens offline: pictures of results, all runs, those that failed",
@@ -151,6 +151,7 @@ def _add_settings(parser: _Parser, command: str) -> None:
 
 def _settings(given: Namespace) -> dict[str, object]:
     from adaptmg.cli import build
+    from adaptmg.cli.case_run import check
 
     texts = {name: text for name, text in vars(given).items() if "." in name}
     for text in given.set:
@@ -158,7 +159,9 @@ def _settings(given: Namespace) -> dict[str, object]:
         if not equals or not value:
             raise ValueError(f"--set must be NAME=VALUE, got {printable(ascii(text))}")
         texts[name if name.partition(".")[0] in build.PURPOSE else f"case.{name}"] = value
-    return build.from_texts(given.case, texts, adaptive=given.run is _adapt)
+    settings = build.from_texts(given.case, texts, adaptive=given.run is _adapt)
+    check(settings)
+    return settings
 
 
 def _print_json(value: object) -> None:
@@ -182,7 +185,7 @@ def _cases(given: Namespace) -> None:
 def _solve(given: Namespace) -> int:
     from adaptmg.cli import case_run, output
 
-    folder, settings = output.folder(given.out), _settings(given)
+    settings, folder = _settings(given), output.folder(given.out)
     with output.watched() as callback:
         solved = case_run.solved(settings, callback)
     files = output.write(folder, solved)
@@ -200,7 +203,7 @@ def _adapt(given: Namespace) -> None:
     from adaptmg.cli import case_run, output
     from adaptmg.estimate.step import Step
 
-    folder, settings = output.folder(given.out), _settings(given)
+    settings, folder = _settings(given), output.folder(given.out)
     waiting: list[str] = []
     with output.watched_loop() as progress:
         # lines would run into the bar: they wait until it ends
@@ -217,6 +220,7 @@ def _adapt(given: Namespace) -> None:
 
 def _study(given: Namespace) -> int:
     from adaptmg.cli import study_file
+    from adaptmg.cli.output import logged
 
     if given.keys or given.template is not None:
         if given.json:
@@ -239,7 +243,9 @@ def _study(given: Namespace) -> int:
         return 0
     if options.get("workers") is None and given.scheduler is None:
         study_file.warm(made)
-    with _logged(given.quiet):
+    # failures only on a terminal, else a line for each run
+    level = logging.INFO if sys.stderr and not (given.quiet or sys.stderr.isatty()) else logging.WARNING
+    with logged("adaptmg.study", level, logging.StreamHandler()):
         table = made.run(progress=False if given.quiet else None, **options)
     if given.json:
         _print_json(study_file.summary(made, True))
@@ -259,8 +265,6 @@ def _runs(given: Namespace) -> None:
     from adaptmg.cli.output import lines, printed, rows
 
     limit = checks.integer("--limit", given.limit, 1)
-    if given.status is not None:
-        checks.choice("--status", given.status, ("done", "failed"))
     conditions = [runs.parsed(text) for text in given.where]
     if given.to is not None:
         runs.ending(given.to)
@@ -278,7 +282,7 @@ def _runs(given: Namespace) -> None:
                  for k, name in enumerate(("study", "done", "failed", "seconds", "last"))}
         _say(lines(rows(table)) if given.json else printed(table, ["study"], units={"seconds": "s"}))
         return
-    name = runs.chosen(given.store, names, given.study)
+    name = runs.chosen(found, given.study)
     table, total = runs.selected(found, name, status=given.status, where=conditions, details=given.details,
                                  limit=None if given.json or given.to is not None else limit)
     units = runs.units(found, name, table)
@@ -299,23 +303,6 @@ def _report(given: Namespace) -> None:
 
     page, csv = runs.report(given.store, given.study, given.result, given.to)
     _say(f"wrote {page} and {csv}", err=True)
-
-
-@contextmanager
-def _logged(quiet: bool) -> Iterator[None]:
-    """Send the log of studies to standard error: failures only on a terminal, else a line for each run."""
-    logger, handler = logging.getLogger("adaptmg.study"), logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("%(message)s"))
-    level, spread = logger.level, logger.propagate
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO if sys.stderr and not (quiet or sys.stderr.isatty()) else logging.WARNING)
-    logger.propagate = False
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
-        logger.propagate = spread
 
 
 @contextmanager

@@ -7,11 +7,10 @@ import io
 import json
 import logging
 import math
-import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +19,7 @@ import numpy as np
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, write_bytes
-from adaptmg.study.tables import as_text, cells
+from adaptmg.study.tables import as_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,34 +50,26 @@ def lines(rows: Sequence[dict[str, object]]) -> str:
 
 
 def printed(table: Mapping[str, Sequence[object]], parameters: Sequence[str], *, units: Mapping[str, str],
-            note: str = "", width: int | None = None) -> str:
+            note: str = "") -> str:
     """Return a table as text, in blocks of columns where it is wider than the terminal, each with the parameters."""
-    if width is None:
-        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else 10**9
-    headers, columns = cells(table, units)
-    wide = {name: 2 + max(map(len, (header, *column))) for name, header, column
-            in zip(table.keys(), headers, columns, strict=True)}
-    head = [name for name in parameters if name in wide]
-    if 2 * sum(wide[name] for name in head) > width:
-        head = head[:1]
-    blocks: list[list[str]] = [[]]
-    for name in (name for name in wide if name not in head):
-        if blocks[-1] and sum(wide[key] for key in (*head, *blocks[-1], name)) - 2 > width:
-            blocks.append([])
-        blocks[-1].append(name)
-    texts = []
-    for block in blocks:
-        names = [name for name in wide if name in head or name in block]
-        texts.append(as_text({name: table[name] for name in names}, note=note if block is blocks[-1] else "",
-                             units={name: unit for name, unit in units.items() if name in names}))
-    return "\n\n".join(texts)
+    def text(names: Sequence[str]) -> str:
+        return as_text({name: table[name] for name in names},
+                       units={name: unit for name, unit in units.items() if name in names})
+
+    head, names = [name for name in parameters if name in table], list(table.keys())
+    blocks = [head] if sys.stdout.isatty() else [names]
+    for name in (name for name in names if name not in blocks[0]):
+        if blocks[-1] != head and len(text([*blocks[-1], name]).splitlines()[1]) > shutil.get_terminal_size().columns:
+            blocks.append(head)
+        blocks[-1] = [*blocks[-1], name]
+    return "\n\n".join(map(text, blocks)) + f"\n{note}" * bool(note)
 
 
 Row = dict[str, float]
+_Callback = AbstractContextManager[Callable[[Row], None] | None]
 
 
-@contextmanager
-def watched(rtol: float = 1e-8) -> Iterator[Callable[[Row], None] | None]:
+def watched(rtol: float = 1e-8) -> _Callback:
     """Show log and progress of a solve inside: the bar fills by decades of the error."""
     first: list[float] = []
 
@@ -91,12 +82,10 @@ def watched(rtol: float = 1e-8) -> Iterator[Callable[[Row], None] | None]:
                         "description": f"cycle {row['cycle']}, error {error:.1e}"}
         return {}
 
-    with _bar("grids and set-up", state) as callback:
-        yield callback
+    return _bar("grids and set-up", state)
 
 
-@contextmanager
-def watched_loop() -> Iterator[Callable[[Row], None] | None]:
+def watched_loop() -> _Callback:
     """Show log and progress of an adaptive loop inside: nodes, estimate, and when it should end."""
     def state(row: Row) -> dict[str, object]:
         words = f"step {row['step']}: {row['phase']}, {row['nodes']} nodes"
@@ -108,8 +97,7 @@ def watched_loop() -> Iterator[Callable[[Row], None] | None]:
         return {"description": words, "total": expected, "completed": min(row["seconds"], expected),
                 "end": f"about {max(expected - row['seconds'], 0.0):.0f} s more"}
 
-    with _bar("first mesh", state) as callback:
-        yield callback
+    return _bar("first mesh", state)
 
 
 @contextmanager
@@ -119,13 +107,10 @@ def _bar(begin: str, state: Callable[[Row], dict[str, object]]) -> Iterator[Call
     from rich.logging import RichHandler
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    console, logger = Console(stderr=True), logging.getLogger("adaptmg")
+    console = Console(stderr=True)
     handler = RichHandler(console=console, show_time=False, show_level=False, show_path=False)
     handler.addFilter(lambda record: record.name != "adaptmg.solver.solve")  # the command prints the result
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    try:
+    with logged("adaptmg", logging.INFO, handler):
         if not console.is_terminal:
             yield None
             return
@@ -133,9 +118,20 @@ def _bar(begin: str, state: Callable[[Row], dict[str, object]]) -> Iterator[Call
         with Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task(begin, total=None, end="")
             yield lambda row: bar.update(task, **state(row))
+
+
+@contextmanager
+def logged(name: str, level: int, handler: logging.Handler) -> Iterator[None]:
+    """Send a log to a handler inside."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(level)
+    try:
+        yield
     finally:
         logger.removeHandler(handler)
-        logger.setLevel(level)
+        logger.setLevel(before)
 
 
 def summary(result: am.Result, files: list[Path]) -> dict[str, object]:
@@ -153,14 +149,10 @@ def summary(result: am.Result, files: list[Path]) -> dict[str, object]:
 
 
 def folder(given: Path | None) -> Path | None:
-    """Return the folder to write to, if any; ValueError before any work if a file is in the way."""
-    if given is None:
-        return None
-    folder = checks.file_path("--out", given)
-    there = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), folder)
-    if os.path.lexists(there) and not there.is_dir():
-        raise ValueError(f"--out must be a folder, but {str(there)!r} is in the way")
-    return folder
+    """Return the folder to write to, if any, made before any work."""
+    if given is not None:
+        make_folder("--out", checks.file_path("--out", given))
+    return given and given.expanduser()
 
 
 def write(directory: Path | None, solved: Solved) -> list[Path]:
@@ -170,7 +162,6 @@ def write(directory: Path | None, solved: Solved) -> list[Path]:
     import matplotlib
 
     matplotlib.use("Agg")
-    make_folder("--out", directory)
     result = solved.result
     files = [directory / "result.npz", directory / "result.vtu"]
     result.save(files[0])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pandas as pd
@@ -28,28 +28,27 @@ def opened(path: Path) -> Store:
     return Store(file)
 
 
-def chosen(path: Path, names: Sequence[str], name: str | None) -> str:
+def chosen(store: Store, name: str | None) -> str:
     """Return the study of that name, or the only one."""
-    if name is None and len(names) == 1:
-        return names[0]
+    names = store.studies()
     if not names:
-        raise ValueError(f"the store {path} has no runs")
-    if name is None:
+        raise ValueError(f"the store {store.path} has no runs")
+    if name is None and len(names) > 1:
         raise ValueError(f"the store has several studies: give --study, one of {', '.join(names)}")
-    if name not in names:
+    if name is not None and name not in names:
         raise ValueError(f"the store has no study {name!r}{checks.suggestion(name, names)}; it has {', '.join(names)}")
-    return name
+    return names[0] if name is None else name
 
 
 def selected(store: Store, name: str, *, status: str | None = None, where: Sequence[Condition] = (),
              limit: int | None = None, details: bool = False) -> tuple[pd.DataFrame, int]:
     """Return runs of a study in the order of storing, and their number without ``limit``. Parameters that are the same
     in all runs of the study are left out. Only runs that are shown are read, unless there are conditions."""
+    records = store.runs(name, status, None if where else limit)
+    total = store.count(name, status)
     if where:
-        records = _matching(store.runs(name, status), where)
+        records = _matching(records, where)
         total, records = len(records), records[:limit]
-    else:
-        total, records = store.count(name, status), store.runs(name, status, limit)
     first = store.runs(name, limit=1)
     same = set(first[0].parameters) - set(store.varying(name, first[0].parameters)) if first else set()
     names = list(dict.fromkeys(key for record in records for key in record.parameters))
@@ -71,9 +70,8 @@ def report(path: Path, study: str | None, results: list[str] | None, to: Path | 
     from adaptmg.export import study_report
 
     store = opened(path)
-    name = chosen(path, store.studies(), study)
-    records = store.runs(name)
-    table, _ = selected(store, name)
+    name = chosen(store, study)
+    records, (table, _) = store.runs(name), selected(store, name)
     table.attrs["study"] = name
     parameters = {key for record in records for key in record.parameters}
     if to is None and Path(name).name != name:
@@ -82,18 +80,13 @@ def report(path: Path, study: str | None, results: list[str] | None, to: Path | 
     csv = page.with_suffix(".csv")
     if csv == page:
         raise ValueError(f"--to must be an HTML file, got {checks.shown(str(to))}: its table is a .csv next to it")
+    same = [f"{key} = {_shown(value)}" for key, value in records[0].parameters.items()
+            if key not in table and not key.startswith("measure.")]
     written = study_report(table, page, parameters=[key for key in table if key in parameters], results=results,
-                           csv=csv.name, units=units(store, name, table), summary=same_in_all(records, table),
-                           made=made(records))
+                           csv=csv.name, units=units(store, name, table), made=_origin(records),
+                           summary=f"In all runs {'; '.join(same)}." if same else "")
     write(table, csv)
     return written, csv
-
-
-def same_in_all(records: Sequence[Record], columns: Sequence[str]) -> str:
-    """Return a sentence on the parameters that all runs share, which the table leaves out."""
-    same = {name: value for name, value in records[0].parameters.items()
-            if name not in columns and not name.startswith("measure.")} if records else {}
-    return f"In all runs {'; '.join(f'{name} = {_shown(value)}' for name, value in same.items())}." if same else ""
 
 
 def _shown(value: object) -> str:
@@ -102,15 +95,13 @@ def _shown(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def made(records: Sequence[Record]) -> dict[str, str]:
+def _origin(records: Sequence[Record]) -> dict[str, str]:
     """Return machines, commits, versions and dates of runs."""
-    facts = {"machine": [record.machine for record in records], "commit": [record.commit[:12] for record in records],
-             "versions of the runs": [", ".join(f"{name} {version}" for name, version in record.versions.items())
-                                      for record in records]}
-    texts = {name: "; ".join(sorted(set(filter(None, values)))[:3]) for name, values in facts.items()}
+    facts = {"machine": {record.machine for record in records}, "commit": {record.commit[:12] for record in records},
+             "versions of the runs": {", ".join(map(" ".join, record.versions.items())) for record in records}}
     when = sorted(record.finished for record in records if record.finished)
-    return {name: text for name, text in texts.items() if text} | \
-        ({"runs made": f"{when[0][:16]} to {when[-1][:16]} UTC"} if when else {})
+    facts["runs made"] = {f"{when[0][:16]} to {when[-1][:16]} UTC"} if when else set()
+    return {name: "; ".join(sorted(texts - {""})[:3]) for name, texts in facts.items() if texts - {""}}
 
 
 def short(table: pd.DataFrame) -> pd.DataFrame:
@@ -119,9 +110,7 @@ def short(table: pd.DataFrame) -> pd.DataFrame:
     return shown.map(lambda value: f"{value[:57]}..." if isinstance(value, str) and len(value) > 60 else value)
 
 
-_ORDERED: dict[str, Callable[[float, float], bool]] = {"<": operator.lt, "<=": operator.le, ">": operator.gt,
-                                                       ">=": operator.ge}
-_ABSENT = object()
+_ORDERED = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 
 
 def parsed(text: str) -> Condition:
@@ -130,72 +119,53 @@ def parsed(text: str) -> Condition:
     if not found:
         raise ValueError(f"--where must be NAME=VALUE, or with !=, <, <=, > or >=, got {checks.shown(text)}")
     name, sign, value = (part.strip() for part in found.groups())
-    if sign in _ORDERED and not _is_number(value):
+    if sign in _ORDERED and _number(value) is None:
         raise ValueError(f"--where {name}{sign} must be followed by a number, got {checks.shown(value)}")
     return name, sign, value
 
 
-def _is_number(text: str) -> bool:
-    try:
-        return float(text) == float(text)
-    except ValueError:
-        return False
+def _number(text: str) -> float | None:
+    with suppress(ValueError):
+        return float(text) if float(text) == float(text) else None
+    return None
 
 
-def _matching(records: list[Record], conditions: Sequence[Condition]) -> list[Record]:
-    names = dict.fromkeys([*(name for record in records for name in (*record.parameters, *record.results)),
-                           *RESERVED, *DETAILS])
-    for name, sign, text in conditions:
+def _matching(records: Sequence[Record], conditions: Sequence[Condition]) -> list[Record]:
+    """Return the records for which all conditions hold; values that a record lacks are unequal to every other."""
+    values = [{**record.parameters, **record.results, **{name: getattr(record, name) for name in (*RESERVED, *DETAILS)
+                                                         if name not in record.results}} for record in records]
+    names = sorted(dict.fromkeys(name for row in values for name in row), key=lambda name: name in RESERVED + DETAILS)
+    for name, _, _ in conditions:
         if name not in names:
             raise ValueError(f"there is no column {name!r}{checks.suggestion(name, names)}; there are "
                              f"{', '.join(names)}")
-        records = [record for record in records if _holds(_value(record, name), sign, text)]
-    return records
+    return [record for record, row in zip(records, values, strict=True)
+            if all(_holds(row, *condition) for condition in conditions)]
 
 
-def _value(record: Record, name: str) -> object:
-    for values in (record.parameters, record.results):
-        if name in values:
-            return values[name]
-    return getattr(record, name) if name in RESERVED or name in DETAILS else _ABSENT
-
-
-def _holds(value: object, sign: str, text: str) -> bool:
-    plain = type(value) in (int, float)
+def _holds(row: Mapping[str, object], name: str, sign: str, text: str) -> bool:
+    value, number = row.get(name), _number(text) if type(row.get(name)) in (int, float) else None
     if sign in _ORDERED:
-        return plain and _ORDERED[sign](value, float(text))
-    equal = value is not _ABSENT and (text in (str(value), json.dumps(value))
-                                      or (plain and _is_number(text) and value == float(text)))
-    return equal == (sign == "=")
-
-
-_ENDINGS = (".csv", ".parquet", ".tex")
+        return number is not None and _ORDERED[sign](value, number)
+    equal = text in (str(value), json.dumps(value)) or (number is not None and value == number)
+    return (name in row and equal) == (sign == "=")
 
 
 def ending(path: Path) -> Path:
     """Return a path whose ending names a kind of file that can be written."""
     target = checks.file_path("--to", path)
-    if target.suffix not in _ENDINGS:
-        raise ValueError(f"--to must end in {', '.join(_ENDINGS[:-1])} or {_ENDINGS[-1]}, got "
-                         f"{checks.shown(str(path))}")
+    if target.suffix not in (".csv", ".tex"):
+        raise ValueError(f"--to must end in .csv or .tex, got {checks.shown(str(path))}")
     return target
 
 
 def write(table: pd.DataFrame, path: Path, units: Mapping[str, str] | None = None) -> None:
-    """Write a table as CSV, Parquet or LaTeX (with units), by the ending of the name."""
+    """Write a table as CSV or LaTeX (with units), by the ending of the name."""
     target = ending(path)
     if target.suffix == ".tex":
         content = _latex(table, units).encode("utf-8", "backslashreplace")
-    elif target.suffix == ".csv":
-        content = table.map(_plain).to_csv(index=False).encode()
     else:
-        buffer = io.BytesIO()
-        try:
-            table.map(_plain).apply(_of_one_type).to_parquet(buffer, index=False)
-        except ImportError:
-            raise ValueError("--to FILE.parquet needs the package pyarrow: pip install pyarrow, or write "
-                             ".csv") from None
-        content = buffer.getvalue()
+        content = table.map(_plain).to_csv(index=False).encode()
     write_bytes(target, content)
 
 
@@ -203,14 +173,6 @@ def _plain(value: object) -> object:
     if isinstance(value, tuple):
         return json.dumps(value)
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
-
-
-def _of_one_type(column: pd.Series) -> pd.Series:
-    """Parquet has one type a column: values of several become texts of JSON."""
-    kinds = {type(value) for value in column if value is not None and value == value}
-    if column.dtype != object or len(kinds) < 2 or kinds <= {int, float}:
-        return column
-    return column.map(lambda value: None if value is None else json.dumps(value))
 
 
 def _latex(table: pd.DataFrame, units: Mapping[str, str] | None) -> str:

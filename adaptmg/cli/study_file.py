@@ -11,7 +11,6 @@ import itertools
 import os
 import re
 import shutil
-import socket
 import textwrap
 import tomllib
 from collections.abc import Mapping
@@ -20,13 +19,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import printable
 from adaptmg.cases import CASES, get
-from adaptmg.cli import build
 from adaptmg.cli.build import PURPOSE, SETTINGS, Key, WrongSetting, case_keys, sections, sensible_grids, setting
-from adaptmg.cli.case_run import MEASURES, case_run, units_of
+from adaptmg.cli.case_run import MEASURES, case_run, check, units_of
 from adaptmg.cli.output import printed, rows
 from adaptmg.problem.load_path import names_in_path
 from adaptmg.study import Grid, LatinHypercube, Random, Repeated, Sobol, Study, Zip, execute
@@ -50,65 +47,56 @@ class StudyFile:
     path: Path
     text: str
 
-    def error(self, words: str, place: str = "") -> ValueError:
-        """Return an error that names the file and the line of a section, or of a key in it."""
-        return _error(self.path, self.text, words, place)
+    def error(self, words: str, cause: WrongSetting) -> ValueError:
+        """Return an error that names the file and the line of what caused it."""
+        return _error(self.path, _line(self.text, cause.place, str(cause)), words)
 
 
-def _error(path: Path, text: str, words: str, place: str = "") -> ValueError:
-    line = _line(text, place) if place else 0
+def _error(path: Path, line: int, words: object) -> ValueError:
     return ValueError(f"{printable(str(path))}{f', line {line}' if line else ''}: {words}")
 
 
-def _line(text: str, place: str) -> int:
-    """Return the line of a key, else of the section around it, else 0."""
-    here, best = "", (0, 0)
+def _line(text: str, place: str, words: str) -> int:
+    """Return the line of a key, else of a key in that section which a message names, else of the section, else 0."""
+    here, found = "", {}
     for number, line in enumerate(text.splitlines(), 1):
         header, key = re.match(r"\s*\[+([^\[\]]+)\]", line), re.match(r"\s*([^\s=#\[][^=#]*?)\s*=", line)
         here = re.sub("[\"'\\s]", "", header[1]) if header else here
         name = here if header else ".".join(filter(None, (here, re.sub("[\"'\\s]", "", key[1])))) if key else ""
-        if name and f"{place}.".startswith(f"{name}.") and len(name) > best[0]:
-            best = len(name), number
-    return best[1]
+        found = {name.removeprefix("vary."): number, name: number} | found
+    inside = [name for name in found if name.startswith(f"{place}.")] if place not in found or "." not in place else ()
+    for part in (0, 1, -1):
+        shown = {name: re.search(rf"(?<![\w.-]){re.escape('.'.join(name.split('.')[part:]))}(?![\w-])", words)
+                 for name in inside}
+        if named := {name: match.start() for name, match in shown.items() if match}:
+            # a message may name the case too
+            return found[min(named, key=lambda name: (name.endswith("case.case"), named[name]))]
+    while place and place not in found:
+        place = place.rpartition(".")[0]
+    return found.get(place, 0)
 
 
 def read(path: str | os.PathLike[str]) -> StudyFile:
     """Read and check a study file."""
     file = checks.file_path("FILE", path)
-    text = _text(file)
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        where = re.search(r"\(at line (\d+)", str(error))
-        raise ValueError(f"{printable(str(file))}{f', line {where[1]}' if where else ''}: not TOML: "
-                         f"{error}") from None
-    except (ValueError, RecursionError) as error:
-        words = "nested too deeply" if isinstance(error, RecursionError) else "a number has too many digits"
-        raise _error(file, text, f"not TOML: {words}") from None
-    try:
-        return _checked(file, text, content)
-    except WrongSetting as error:
-        raise _error(file, text, str(error), error.place) from None
-
-
-def _text(path: Path) -> str:
-    called = printable(str(path))
-    if not path.exists():
-        raise FileNotFoundError(2, "there is no such file", str(path))
-    if not path.is_file():
-        raise ValueError(f"{called} is a folder or a device: give a TOML file")
-    with path.open("rb") as stream:
+    with file.open("rb") as stream:
         content = stream.read(_MOST + 1)
-    if len(content) > _MOST:
-        raise ValueError(f"{called} has more than {_MOST} bytes: is it another file?")
-    if not content.strip():
-        raise ValueError(f"{called} is empty: 'adaptmg study --template greco_bar' prints one to begin with")
     try:
+        if len(content) > _MOST:
+            raise ValueError(f"it has more than {_MOST} bytes")
         # Windows begins texts with a mark
-        return content.decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise ValueError(f"{called}, line {line}: this is not text in UTF-8: save the file as UTF-8") from None
+        text = content.decode("utf-8-sig")
+        parsed = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        where = re.search(r"at line (\d+)", str(error))
+        line = int(where[1]) if where else 0
+        if isinstance(error, UnicodeDecodeError):
+            line, error = content.count(b"\n", 0, error.start) + 1, "save it as text in UTF-8"
+        raise _error(file, line, f"not TOML: {error}") from None
+    try:
+        return _checked(file, text, parsed)
+    except WrongSetting as error:
+        raise _error(file, _line(text, error.place, str(error)), error) from None
 
 
 def _checked(path: Path, text: str, content: dict[str, object]) -> StudyFile:
@@ -128,7 +116,6 @@ def _checked(path: Path, text: str, content: dict[str, object]) -> StudyFile:
         varied = {key: _varied(known, key, values) for key, values in varied.items()}
     design = _design(content, varied)
     fixed = {key: value for key, value in fixed.items() if key not in varied}
-    _check_measures(fixed)
     return StudyFile(name=name, store=checks.file_path("store", content.get("store", f"results/{name}.sqlite")),
                      design=design, fixed=fixed, options=_options(content.get("run", {}), [*fixed, *varied]),
                      path=path, text=text)
@@ -145,7 +132,7 @@ def _check_sections(content: Mapping[str, object]) -> None:
             owners = [f" (it belongs below [{section}])" for section, known in sections().items() if name in known]
             hint = owners[0] if owners else checks.suggestion(name, [*PURPOSE, "name", "store"])
             raise WrongSetting(f"there is no section {name!r}{hint}; there are {', '.join(PURPOSE)}, and before them "
-                               "name and store", name)
+                               "name and store", f"{name}.")
         elif not isinstance(value, dict):
             raise WrongSetting(f"{name} must be one section, [{name}], got {checks.shown(value)}", name)
     for name in ("case", "vary"):
@@ -192,30 +179,8 @@ def _design(content: Mapping[str, object], values: dict[str, list[Value]]) -> De
         return made if repeats == 1 else Repeated(made, repeats, name="repeat")
     except (TypeError, ValueError) as error:
         words = re.sub(r"(?:parameters|ranges)\['([^']*)'\]", r"\1", str(error))
-        named = next((f"vary.{name}" for name in values if f"'{name}'" in str(error)), "")
-        key = re.match(r"(?:design\.)?(\w+)\b", words)
-        raise WrongSetting(words, f"design.{key[1]}" if key and key[1] in content.get("design", {}) else
-                           named or ("design" if "design" in content else "vary")) from None
-
-
-def _check_measures(fixed: Mapping[str, Value]) -> None:
-    for key in ("columns", "forces_on"):
-        given = fixed.get(f"measure.{key}", ())
-        if not isinstance(given, tuple) or not all(isinstance(name, str) for name in given):
-            raise WrongSetting(f"measure.{key} must be a list of names, got {checks.shown(given)}", f"measure.{key}")
-    for column in fixed.get("measure.columns", ()):
-        if column not in MEASURES:
-            raise WrongSetting(f"nothing measures {column!r}{checks.suggestion(column, MEASURES)}; there are "
-                               f"{', '.join(MEASURES)}", "measure.columns")
-    if not isinstance(fixed.get("measure.keep", False), bool):
-        raise WrongSetting(f"measure.keep must be true or false, got {fixed['measure.keep']!r}", "measure.keep")
-    if "measure.points" in fixed:
-        raise WrongSetting("measure.points must be values by name, points = {A = [0.0, 0.0]}", "measure.points")
-    for key, point in build.section(fixed, "measure.points").items():
-        try:
-            check_arrays.vector(f"measure.points.{key}", point)
-        except (TypeError, ValueError) as error:
-            raise WrongSetting(error, f"measure.points.{key}") from None
+        of_design = any(re.search(rf"\b{key}\b", words) for key in content.get("design", {}))
+        raise WrongSetting(words, "design" if of_design else "vary") from None
 
 
 def _options(given: Mapping[str, object], settings: list[str]) -> dict[str, Value]:
@@ -253,48 +218,20 @@ def checked(file: StudyFile, store: Path | None) -> Study:
         seen |= new
         count += 1
         try:
-            build.check({**file.fixed, **point})
+            check({**file.fixed, **point})
         except WrongSetting as error:
             varied = ", ".join(f"{name} = {value!r}" for name, value in point.items())
-            raise file.error(f"with {checks.shown(varied)[1:-1]}: {error}", _place(file, error)) from None
+            raise file.error(f"with {checks.shown(varied)[1:-1]}: {error}", error) from None
     return Study(case_run, file.design, store, name=file.name, fixed=file.fixed)
 
 
-def _place(file: StudyFile, error: WrongSetting) -> str:
-    places = {name: f"vary.{name}" if name in file.design.names else name for name in (*file.design.names, *file.fixed)
-              if name.startswith(f"{error.place}.")}
-    for part in (0, 1, -1):
-        words = {name: ".".join(name.split(".")[part:]) for name in places}
-        found = {name: re.search(rf"(?<![\w.-]){re.escape(words[name])}(?![\w-])", str(error)) for name in places}
-        if named := {name: match.start() for name, match in found.items() if match}:
-            # a message may name the case too
-            return places[min(named, key=lambda name: (name == "case.case", named[name]))]
-    return error.place
-
-
 def check_options(file: StudyFile, options: Mapping[str, Value]) -> None:
-    """Raise ValueError or OSError for options that cannot be used, before a store is made."""
-    here = options.get("workers") is None and options.get("scheduler") is None
+    """Raise ValueError for limits that need workers, before a store is made."""
     for key in ("limit_s", "memory_limit"):
-        if here and options.get(key) is not None:
-            raise file.error(f"run.{key} needs workers, in the file or as --workers 1 or more: a run in this process "
-                             "cannot be stopped", f"run.{key}")
-    if options.get("workers") is not None and options.get("scheduler") is not None:
-        raise ValueError("give --workers (processes of this machine) or --scheduler (a cluster), not both")
-    most = max(64, 4 * (os.cpu_count() or 1))
-    if (options.get("workers") or 0) > most:
-        raise ValueError(f"workers must be at most {most} on this machine, got {options['workers']}: several machines "
-                         "need a scheduler (--scheduler)")
-    address = options.get("scheduler")
-    if address is not None:
-        found = re.fullmatch(r"(?:tcp|tls|ws|wss|ucx)://(\[[^\]]+\]|[^:/\[\]\s]+):([1-9]\d{0,4})/?", address)
-        if not found:
-            raise ValueError(f"--scheduler must be an address such as tcp://host:8786, got {checks.shown(address)}")
-        try:
-            socket.create_connection((found[1].strip("[]"), int(found[2])), 3.0).close()
-        except OSError as error:
-            raise OSError(f"--scheduler: nobody answers at {address} ({error.strerror or error}): start one with 'dask "
-                          "scheduler', which prints its address") from None
+        if options.get(key) is not None and options.get("workers") is None and options.get("scheduler") is None:
+            words = (f"run.{key} needs workers, in the file or as --workers 1 or more: a run in this process cannot be "
+                     "stopped")
+            raise file.error(words, WrongSetting(words, f"run.{key}"))
 
 
 def unsolved(table: pd.DataFrame) -> int:
@@ -367,9 +304,9 @@ def case_facts(name: str) -> dict[str, object]:
 def about_case(name: str) -> str:
     """Return arguments, boundaries and loads of a case as text."""
     facts = case_facts(name)
+    lines = [line for key in ("boundaries", "contact") for line in _entry(key, ", ".join(facts[key]))]
     return "\n".join([f"{name}: {facts['description']}", "", "Arguments ([case] of a study file):",
-                      *_listed(case_keys(name)), "", *_entry("boundaries", ", ".join(facts["boundaries"])),
-                      *_entry("contact", ", ".join(facts["contact"])),
+                      *_listed(case_keys(name)), "", *lines,
                       *_entry("loads", f"{', '.join(facts['loads'])} (names for [load_path])")])
 
 

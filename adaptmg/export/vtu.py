@@ -62,8 +62,8 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     results : sequence of Result
         With meshes, one a step.
     path : path
-        The ``.pvd`` file, which is returned, or a folder for one of its name; its parent exists. The steps lie next to
-        it (``run_0000.vtu``, ...). It is written last, so that all it lists is there.
+        The ``.pvd`` file, which is returned. The steps lie next to it (``run_0000.vtu``, ...). It is written last, so
+        that all it lists is there.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ...
 
@@ -83,32 +83,21 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     if (np.diff(times) <= 0).any():
         raise ValueError(f"times must increase strictly, got {times.tolist()}: give pseudo-times, or leave times out")
     target = checks.file_path("path", path)
-    folder_is_new = False
     if target.suffix != ".pvd":
-        if target.suffix in (".vtu", ".vtk", ".xdmf") or target.is_file():
-            raise ValueError(f"path must be a .pvd file or a folder, got {os.fspath(path)!r}")
-        folder_is_new = not target.exists()
-        target = target / f"{target.name}.pvd"
+        raise ValueError(f"path must end in .pvd, got {os.fspath(path)!r}")
     with suppress(FileNotFoundError):
         # a circle of links raises here
         if stat.S_ISDIR(target.stat().st_mode):
             raise IsADirectoryError(f"path must be a .pvd file, but {str(target)!r} is a folder")
     names = [f"{target.stem}_{k:04d}.vtu" for k in range(len(results))]
-    if folder_is_new:
-        target.parent.mkdir()
-    try:
-        with waiting_folder(target.parent) as waiting:
-            for name, result in zip(names, results, strict=True):
-                write_bytes(waiting / name, _document(result))
-            # a link stays, and the file it leads to is written again
-            Path(os.path.realpath(target)).unlink(missing_ok=True)
-            for name in names:
-                os.replace(waiting / name, target.parent / name)
-        write_bytes(target, _collection(names, times))
-    except BaseException:
-        if folder_is_new and not any(target.parent.iterdir()):
-            target.parent.rmdir()
-        raise
+    with waiting_folder(target.parent) as waiting:
+        for name, result in zip(names, results, strict=True):
+            write_bytes(waiting / name, _document(result))
+        # a link stays, and the file it leads to is written again
+        Path(os.path.realpath(target)).unlink(missing_ok=True)
+        for name in names:
+            os.replace(waiting / name, target.parent / name)
+    write_bytes(target, _collection(names, times))
     return target
 
 

@@ -1,4 +1,4 @@
-"""A study of GRECO solves that is killed at random moments and resumed, compared with a run in one process."""
+"""A study of GRECO solves that is killed in the middle and resumed, compared with a run in one process."""
 
 import contextlib
 import os
@@ -32,39 +32,37 @@ study.run(workers=int(sys.argv[3]) or None, progress=False)
 """
 
 
-def campaign(runs: int, kills: int, seed: int = 0, longest_s: float = 12.0) -> dict[str, object]:
-    """Kill main process, a worker, or all, in turn, at random moments; then finish, and compare with a serial run."""
-    from adaptmg.study.store import Store
-
-    chance = random.Random(seed)
-    kills_by_kind = {"main": 0, "worker": 0, "all": 0}
+def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
+    """Kill all processes, or a worker and then the main process, in turn, each after one more run is stored; then
+    finish, and compare with a serial run."""
+    chance, left = random.Random(seed), []
     with tempfile.TemporaryDirectory() as folder:
-        script, path = Path(folder, "script.py"), Path(folder, "killed.sqlite")
+        script, killed, serial = (Path(folder, name) for name in ("script.py", "killed.sqlite", "serial.sqlite"))
         script.write_text(SCRIPT, encoding="utf-8")
-        left: list[psutil.Process] = []
         for k in range(kills):
-            process = _started(script, path, runs, 2)
-            time.sleep(chance.uniform(0.5, longest_s))
-            kind = ("main", "worker", "all")[k % 3]
-            children = _children(process)
-            if process.poll() is not None:
-                path.unlink()  # all was done: begin again
-                continue
-            kills_by_kind[kind] += _kill(kind, process, children, chance)
-            if kind == "worker":
-                time.sleep(chance.uniform(0.5, 4.0))
-                children += _children(process)
+            process = _started(script, killed, runs, 2)
+            end = time.monotonic() + 240
+            while len(_records(killed)) <= k and time.monotonic() < end:
+                time.sleep(0.02)
+            time.sleep(chance.uniform(0.0, 0.3))
+            children = psutil.Process(process.pid).children(recursive=True)
+            assert process.poll() is None and children
+            if k % 2:
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    chance.choice(children).kill()
+                time.sleep(chance.uniform(0.0, 1.0))
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    children += psutil.Process(process.pid).children(recursive=True)
                 process.kill()
+            else:
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             left += psutil.wait_procs(children, timeout=10)[1]
-        assert _started(script, path, runs, 2).wait() == 0
-        assert _started(script, Path(folder, "serial.sqlite"), runs, 0).wait() == 0
-        found, wanted = Store(path).get("run"), Store(Path(folder, "serial.sqlite")).get("run")
-        bits = [_bits(Path(folder, f"{name}.sqlite.files"), records)
-                for name, records in (("killed", found), ("serial", wanted))]
-        return {"kills": kills_by_kind, "done": sum(r.status == "done" for r in found.values()),
-                "different": sum(bits[0].get(key) != bits[1][key] for key in bits[1]),
-                "left": [p.pid for p in left], "most": max(r.tries for r in found.values())}
+        last = [_started(script, killed, runs, 2), _started(script, serial, runs, 0)]
+        assert [process.wait() for process in last] == [0, 0]
+        found, wanted = (_bits(path) for path in (killed, serial))
+        return {"done": sum(record.status == "done" for record in _records(killed).values()),
+                "different": sum(found.get(key) != wanted[key] for key in wanted), "left": [p.pid for p in left]}
 
 
 def _started(script: Path, path: Path, runs: int, workers: int) -> subprocess.Popen:
@@ -72,28 +70,16 @@ def _started(script: Path, path: Path, runs: int, workers: int) -> subprocess.Po
                             stderr=subprocess.DEVNULL, start_new_session=True)
 
 
-def _children(process: subprocess.Popen) -> list[psutil.Process]:
-    with contextlib.suppress(psutil.NoSuchProcess):
-        return psutil.Process(process.pid).children(recursive=True)
-    return []
+def _records(path: Path) -> dict:
+    from adaptmg.study.store import Store
+
+    return Store(path).get("run") if path.exists() else {}
 
 
-def _kill(kind: str, process: subprocess.Popen, children: list[psutil.Process], chance: random.Random) -> int:
-    """How many were killed: 0 or 1."""
-    if kind == "all":
-        os.killpg(process.pid, signal.SIGKILL)
-    elif kind == "main":
-        process.kill()
-    elif children:
-        with contextlib.suppress(psutil.NoSuchProcess):
-            chance.choice(children).kill()
-    return int(kind != "worker" or bool(children))
-
-
-def _bits(folder: Path, records: dict) -> dict[str, bytes]:
-    """What a run gave, to the last bit."""
+def _bits(path: Path) -> dict[str, bytes]:
+    """What the runs gave, to the last bit."""
     return {key: repr(sorted((name, value) for name, value in record.results.items() if name != "u")).encode()
-            + np.load(folder / record.files["u"]).tobytes() for key, record in records.items()}
+            + np.load(Path(f"{path}.files", record.files["u"])).tobytes() for key, record in _records(path).items()}
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="shell scripts")
 def jobs(tmp_path, monkeypatch):
     from fake_slurm import fake_slurm
 
-    file = fake_slurm(tmp_path, wait_s=1.5)
+    file = fake_slurm(tmp_path, wait_s=0.8)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     yield lambda: [int(line) for line in file.read_text(encoding="utf-8").splitlines()]
@@ -46,7 +46,7 @@ def test_jobs_that_wait_and_one_that_is_cancelled(jobs, tmp_path, monkeypatch, c
         cluster.scale(jobs=2)
         with Client(cluster, set_as_default=False) as client:
             study = Study(run, {"n": range(6)}, tmp_path / "s.sqlite")
-            table = study.run(progress=False, scheduler=client, limit_s=4)
+            table = study.run(progress=False, scheduler=client, limit_s=2.5)
             assert "no workers yet: 2 were requested" in caplog.text
             assert table["status"].tolist() == ["done", "failed", *["done"] * 4]
             assert table["error"][1].startswith("TimeLimit") and set(table["job"].dropna()) <= set(jobs())
