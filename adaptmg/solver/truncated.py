@@ -72,8 +72,7 @@ class TruncatedIteration(StopTest):
     def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
                  run: Run | None = None, cold: bool = False, first_rate: float | None = None,
                  nested: np.ndarray | None = None, hands_over: bool = False) -> None:
-        super().__init__(0.0 if rtol == "discretisation" else rtol, limit, Sizes(problem),
-                         None if run is None else self._shortfall)
+        super().__init__(0.0 if rtol == "discretisation" else rtol, limit, Sizes(problem))
         self.multigrid, self.problem, self.run = multigrid, problem, run
         self.cycles = self.changed = 0
         self.residuals: list[float] = []
@@ -148,9 +147,12 @@ class TruncatedIteration(StopTest):
         """See :class:`~adaptmg.solver.iterate.StopTest`; after one cycle the first rate."""
         return self._first_rate if self._first_rate is not None and len(self.changes) == 1 else super().safe_rate
 
-    def _shortfall(self, rtol: float) -> float:
-        """The certificate's answer; none where no iterate can be better."""
-        return 0.0 if self.rests() else self.run.shortfall(self.problem.with_prescribed(self.multigrid.unknowns), rtol)
+    def shortfall(self) -> float | None:
+        """See :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate can be better."""
+        if self.run is None:
+            return None
+        displacement = self.problem.with_prescribed(self.multigrid.unknowns)
+        return 0.0 if self.rests() else self.run.shortfall(displacement, self.rtol)
 
     def _estimate(self) -> float:
         rate = self.safe_rate

@@ -9,6 +9,8 @@ import pytest
 import adaptmg as am
 from adaptmg.solver.aggregates import aggregates_of
 from adaptmg.solver.factorisation import condense_coarsest
+from adaptmg.solver.iterate import StopTest
+from adaptmg.solver.record import Run
 from adaptmg.solver.statics import critical_friction
 
 CASES = {"bar": am.cases.greco_bar, "block": am.cases.greco_block}
@@ -41,3 +43,17 @@ def test_nothing_outlives_its_problem():
     del grids
     gc.collect()
     assert [one() for one in gone] == [None] * 4
+
+
+@pytest.mark.parametrize("solver", [am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(),
+                                    am.SingleGrid(max_sweeps=5)])
+def test_what_a_solve_needs_is_freed_when_it_returns(solver):
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4))
+    gc.collect()
+    gc.disable()
+    try:
+        am.solve(grids, solver, throw=False)
+        left = [one for one in gc.get_objects() if isinstance(one, StopTest | Run)]
+    finally:
+        gc.enable()
+    assert not left
