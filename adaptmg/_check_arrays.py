@@ -42,7 +42,8 @@ def direction(name: str, value: object, n: int) -> np.ndarray:
 
 
 def array(name: str, value: object, shape: tuple[int | None, ...], *, integer: bool = False) -> np.ndarray:
-    """Return a read-only copy of ``value`` as a contiguous array of finite numbers."""
+    """Return ``value`` as a read-only contiguous array of finite numbers: a copy, unless it is one that nobody writes.
+    """
     kind = "integers" if integer else "real numbers"
     if isinstance(value, np.ma.MaskedArray):
         raise TypeError(f"{name} must be an array of {kind}, got a masked one: fill it first")
@@ -58,8 +59,13 @@ def array(name: str, value: object, shape: tuple[int | None, ...], *, integer: b
     _check_shape(name, entries.shape, shape)
     if integer and entries.dtype.kind == "u" and entries.size and int(entries.max()) > np.iinfo(np.int64).max:
         raise ValueError(f"{name} must be below 2**63, got {int(entries.max())}")
+    dtype = np.int64 if integer else np.float64
+    if (type(value) is np.ndarray and value.dtype == dtype and value.base is None and value.flags.c_contiguous
+            and not value.flags.writeable):
+        _check_finite(name, value)
+        return value
     with np.errstate(over="ignore"):
-        result = np.array(entries, dtype=np.int64 if integer else np.float64, order="C")
+        result = np.array(entries, dtype=dtype, order="C")
     _check_finite(name, result)
     result.flags.writeable = False
     return result

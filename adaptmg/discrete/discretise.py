@@ -113,8 +113,8 @@ def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[
 
 def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem, changed: frozenset[str]
                  ) -> DiscreteProblem:
-    """As :func:`discretise`; ``old``, that of a problem that differs in the parts ``changed`` and in the law, gives what
-    only loads and law leave unchanged."""
+    """As :func:`discretise`; ``old``, that of a problem that differs in the parts ``changed`` and in the law, gives
+    what only loads and law leave unchanged."""
     posed = old.contact if old.exchange is None else old.exchange.contact
     if changed - {"loads"} or posed.slip_reference.any():
         return discretise(problem, mesh)

@@ -249,8 +249,8 @@ class DiscreteProblem(Unknowns):
         return self.n_dofs // self.dim
 
 
-#: makes a function compute once for all problems that share matrix, fixed dofs, contact nodes and normals: those that
-#: :meth:`DiscreteProblem.with_step` makes, and other laws. Load, law, prescribed values and slips must not matter to it.
+#: makes a function compute once for all problems that share matrix, fixed dofs, contact nodes and normals: those of
+#: :meth:`DiscreteProblem.posing`. Load, law, prescribed values and slips must not matter to it.
 remembered_of_structure = partial(remembered, of=lambda problem: problem._structure)
 
 

@@ -134,18 +134,19 @@ class LocalProblem:
         return self.discrete.with_prescribed(u).reshape(-1, self.system.dim)
 
 
-def local_system(problem: DiscreteProblem, matrix: sparse.bsr_array | None = None) -> LocalProblem:
-    """Rotate a DiscreteProblem, or it with another ``matrix``, into contact frames and eliminate its fixed dofs."""
+def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) -> LocalProblem:
+    """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs. ``system``: that of a problem which
+    shares matrix, fixed dofs and contact nodes with it."""
     dim, contact = problem.dim, problem.contact
     frames = frames_of(contact, problem.fixed.reshape(-1, dim))
-    fixed = _local_fixed(problem, frames)
-    matrix = _rotated(problem.matrix if matrix is None else matrix, frames, contact.nodes)
-    matrix = without_fixed(matrix, fixed, copy=False)
+    fixed = _local_fixed(problem, frames) if system is None else system.fixed
     load = rotate(problem.load_from_prescribed(), frames, contact.nodes)
     load[fixed] = 0.0
-    system = LocalSystem.from_matrix(matrix, fixed, contact.nodes)
     nodal = _nodal_contact(problem, frames, fixed)
-    turn_held(system.diagonal, system.nodes, nodal)
+    if system is None:
+        matrix = without_fixed(_rotated(problem.matrix, frames, contact.nodes), fixed, copy=False)
+        system = LocalSystem.from_matrix(matrix, fixed, contact.nodes)
+        turn_held(system.diagonal, system.nodes, nodal)
     return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
 
 

@@ -38,7 +38,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.residuals import natural_residual, residual
 from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, local_system
-from adaptmg.solver.factorisation import condense
+from adaptmg.solver.factorisation import Condensed, condense, condense_coarsest
 from adaptmg.solver.iterate import IterateTest, iterate
 from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
@@ -152,9 +152,9 @@ class _Newton:
     FACTOR, SMALLEST_FACTOR = 0.1, 1e-4
 
     def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int,
-                 start: np.ndarray | None, lenient: bool = False) -> None:
+                 start: np.ndarray | None, condensed: Condensed | None = None) -> None:
         self.options, self.local, self.run, self.level = options, local, run, level
-        self.equations_of: LinearSteps = (CondensedSteps(local, run, lenient) if options.condensed
+        self.equations_of: LinearSteps = (CondensedSteps(local, run, condensed) if options.condensed
                                           else SparseSteps(local, options.linear, run))
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
         self.cycles, self.held, self._hold_first = 0, False, start is None
@@ -266,12 +266,13 @@ class _Newton:
         self._decide(residual)
 
 
-def coarsest_solution(local: LocalProblem, rtol: float, unit: int) -> tuple[np.ndarray, int]:
-    """Unknowns (n_dofs,) of a coarsest problem, whose matrix may be singular, and the number of steps they took."""
-    options = ActiveSet(rtol=rtol)
-    newton = _Newton(options, local, Run(unit=unit), 0, None, lenient=True)
+def coarsest_solution(problem: DiscreteProblem, rtol: float, unit: int) -> tuple[np.ndarray, int]:
+    """Displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular, and the number of its steps."""
+    options, condensed = ActiveSet(rtol=rtol), condense_coarsest(problem)
+    local = condensed.full
+    newton = _Newton(options, local, Run(unit=unit), 0, None, condensed)
     iterate(newton, _NewtonTest(local, rtol, options.max_steps), None)
-    return newton.unknowns, newton.cycles
+    return local.to_cartesian(newton.unknowns), newton.cycles
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,10 +394,10 @@ class CondensedSteps:
 
     SINGULAR = 1e-13  # reciprocal condition number below which the equations count as singular
 
-    def __init__(self, local: LocalProblem, run: Run, lenient: bool = False) -> None:
+    def __init__(self, local: LocalProblem, run: Run, condensed: Condensed | None = None) -> None:
         self.local, self.run = local, run
         with run.phase("factorise"):
-            self.condensed = condense(local, lenient)
+            self.condensed = condense(local) if condensed is None else condensed
 
     @property
     def stiffness(self) -> np.ndarray:

@@ -110,13 +110,14 @@ class Certificate:
 
 @one_blas_thread()
 def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
-            images: np.ndarray | None = None, aggregates: Aggregates | None = None) -> Certificate:
-    """Check a displacement and the contact forces and states that go with it."""
+            known: tuple[np.ndarray, float] | None = None, aggregates: Aggregates | None = None) -> Certificate:
+    """Check a displacement and the contact forces and states that go with it. ``known``: the residual b - A w
+    (n_dofs,) of its unknowns w, and their norm sqrt(w'Aw)."""
     if aggregates is None and not bound:
         aggregates = aggregates_of(problem)
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
-        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, images)
+        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, known)
         energy, energy_rounding = found.energy_error(None if bound else aggregates)
         lines = (found.equilibrium(), found.prescribed(), *found.normal(), *found.tangential(), *found.states(),
                  found.balance())
@@ -161,7 +162,7 @@ class Evidence:
     """What the lines are made from. Forces of coupled bodies are those of the bodies, not of relative coordinates."""
 
     def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims,
-                 images: np.ndarray | None = None) -> None:
+                 known: tuple[np.ndarray, float] | None = None) -> None:
         self.problem, self.contact = problem, contact
         # contact as it was posed: between held bodies the problem may have nodes of the master in its place
         self.posed = problem.contact if problem.exchange is None else problem.exchange.contact
@@ -170,10 +171,13 @@ class Evidence:
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
-        if images is None:
+        if known is None:
             images = problem.matrix @ self.unknowns.reshape(-1)
+            known = problem.load - images, float(np.sqrt(max(_sum(self.unknowns, images), 0.0)))
+        residual, self.energy = known
         self.fixed = problem.fixed.reshape(shape)
-        self.diagonal = problem.matrix.diagonal().reshape(shape)
+        diagonal = problem.matrix.diagonal().reshape(shape)
+        self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
         self.normals = self.posed.normals
         self.claimed = from_frames(contact.frames, np.column_stack([-contact.force_n, contact.force_t]))
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
@@ -182,12 +186,12 @@ class Evidence:
         self.limit = limit / np.abs(self.sigma)
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
-        self.unexplained = problem.physical_forces(images - problem.load).reshape(shape)
+        self.unexplained = problem.physical_forces(-residual).reshape(shape)
         self.unexplained[self.nodes] -= self.claimed
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
+        self.at_contact = self.unexplained[self.nodes]
         self.tally = Tally(self.unexplained, self.fixed, self.u, self.unknowns,
-                           problem.fixed_values.reshape(shape), self.diagonal)
-        self.energy = float(np.sqrt(max(_sum(self.unknowns, images), 0.0)))
+                           problem.fixed_values.reshape(shape), diagonal)
         self.force = max(_norm(problem.physical_forces(problem.load)), self.tally.supports, _norm(self.claimed))
         self.length = self.tally.displacement
         # a row sums terms of the size of its diagonal times its displacement
@@ -240,7 +244,7 @@ class Evidence:
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Penetration, tension, complementarity."""
-        pulling = np.einsum("nd,nd->n", self.unexplained[self.nodes], self.normals) - self.pressure
+        pulling = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
         # each in its scale: a force of rounding times a gap of a thousand displacements is no work of contact
         both = np.minimum(_shares(self.pressure, self.force), _shares(self.gap, self.length))
         complementarity = Condition("complementarity", float(both.max(initial=0.0)), _norm(both), "", _norm(both),
@@ -276,14 +280,14 @@ class Evidence:
 
     def energy_error(self, aggregates: Aggregates | None) -> tuple[float, float]:
         """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
-        """
+        Overwrites what is unexplained."""
         problem = self.problem
         status, change, unlawful = self._frozen()
-        # a copy: other lines report what is unexplained too
-        forces = problem.relative_forces(self.unexplained.reshape(-1).copy()).reshape(self.u.shape)
+        forces = problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
         forces[problem.contact.nodes] += unlawful
         matrix = problem.matrix
         moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
+        del change
         rest = residual_energy(matrix, status, forces, aggregates)
         rounding = 32 * _EPSILON * self.tally.stiff_energy
         return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
@@ -293,7 +297,7 @@ class Evidence:
         each node the cheaper is taken, in the measure of its stiffness: to move onto the obstacle (to zero slip), or to
         give the force up (to turn it against the slip)."""
         contact, dim = self.problem.contact, self.problem.dim
-        here, d = (~self.fixed[contact.nodes]).astype(float), self.diagonal[contact.nodes].max(axis=1)
+        here, d = (~self.fixed[contact.nodes]).astype(float), self.stiffness
         # at the nodes that carry the conditions in the equations
         scale, sigma = np.abs(self.sigma), self.sigma[:, None]
         gap, pressure = self.gap / scale, self.pressure * scale

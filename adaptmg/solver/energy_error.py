@@ -177,7 +177,7 @@ class _Preconditioner:
 
 def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray,
                     aggregates: Aggregates | None) -> float:
-    """Energy of the displacement that a residual brings about in the space of a status, N m."""
+    """Energy of the displacement that a residual, which is overwritten, brings about in the space of a status, N m."""
     status.project(residual)
     size = _dot(residual, residual)
     if not np.isfinite(size):
@@ -186,10 +186,11 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
         return 0.0
     if aggregates is None:
         return _factorised(matrix, status, residual)
-    energy, settled = _estimated(matrix, status, residual.copy(), _Preconditioner(matrix, status, aggregates))
-    if not settled and matrix.shape[0] <= _FACTORISED[residual.shape[1]]:
+    given = residual.copy() if matrix.shape[0] <= _FACTORISED[residual.shape[1]] else None
+    energy, settled = _estimated(matrix, status, residual, _Preconditioner(matrix, status, aggregates))
+    if not settled and given is not None:
         try:
-            return _factorised(matrix, status, residual)
+            return _factorised(matrix, status, given)
         except RuntimeError:
             return energy  # a motion that nothing holds
     return energy

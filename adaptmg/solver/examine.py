@@ -93,15 +93,18 @@ class Examiner:
         if self._last is not None and np.array_equal(self._last[0], solved):
             return self._last[1]
         discrete = self.discrete
-        images = discrete.matrix @ solved
-        residual = discrete.load - images
-        reaction = discrete.physical_forces(-residual)
+        residual = discrete.matrix @ solved
+        energy = energy_norm(solved, residual)
+        np.subtract(discrete.load, residual, out=residual)
         nodal = solved.reshape(discrete.n_nodes, discrete.dim)
         displacement = discrete.physical(nodal)
         contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
                                  -self._at_contact(residual))
-        found = Examined(displacement, reaction.reshape(nodal.shape), contact, self._residual(solved, residual),
-                         certify(discrete, displacement, contact, images=images))
+        natural = self._residual(solved, residual)
+        checked = certify(discrete, displacement, contact, known=(residual, energy))
+        # in place: long vectors are what limits the size of a problem
+        reaction = discrete.physical_forces(np.negative(residual, out=residual)).reshape(nodal.shape)
+        found = Examined(displacement, reaction, contact, natural, checked)
         self._last = solved, found
         return found
 

@@ -18,14 +18,16 @@ right-hand side at c is chosen so that :math:`w_c` comes out as required.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import SuperLU, splu
 
-from adaptmg.smoother.system import LocalProblem, LocalSystem, turn_held
+from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system, turn_held
 
 
 def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
@@ -168,12 +170,26 @@ class _Singular(ValueError):
 class Condensed:
     """The Schur complement on the contact dofs and the way back; see the module for the formulas."""
 
-    problem: LocalProblem
     full: LocalProblem  # what was condensed
     factors: OrderedFactors | DenseFactors  # of M
     contact: np.ndarray  # (n,) int: contact dofs, n = n_contact * dim
     matrix: np.ndarray  # (n, n): S
     shift: np.ndarray  # (n,): diagonal of Sigma at the contact dofs
+
+    @property
+    def regular(self) -> bool:
+        """Whether no dof was left at zero."""
+        return len(self.factors.order) == self.full.system.n_dofs
+
+    @cached_property
+    def problem(self) -> LocalProblem:
+        """The condensed problem."""
+        full, n, dim = self.full, len(self.full.system.nodes), self.full.system.dim
+        fixed = full.system.fixed[self.contact]
+        dense = LocalSystem.from_matrix(sparse.bsr_array(_blocks(self.matrix, dim), shape=self.matrix.shape), fixed,
+                                        np.arange(n))
+        turn_held(dense.diagonal, dense.nodes, full.contact)
+        return replace(full, system=dense, load=np.where(fixed, 0.0, self.reduce(full.load)[1]))
 
     def restrict(self, unknowns: np.ndarray) -> np.ndarray:
         """The entries (n_contact * dim,) at contact nodes of a vector over all dofs."""
@@ -223,16 +239,27 @@ def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
             raise
         factors, schur = _eliminate_dense(system, contact, shift, lenient)
     schur[np.diag_indices_from(schur)] -= shift
-    schur = 0.5 * (schur + schur.T)
-    fixed = system.fixed[contact]
-    n = len(system.nodes)
-    dense = LocalSystem.from_matrix(sparse.bsr_array(_blocks(schur, dim), shape=schur.shape), fixed, np.arange(n))
-    turn_held(dense.diagonal, dense.nodes, local.contact)
-    problem = LocalProblem(system=dense, load=np.zeros(len(contact)), contact=local.contact, frames=local.frames,
-                           discrete=local.discrete)
-    condensed = Condensed(problem, local, factors, contact, schur, shift)
-    problem.load = np.where(fixed, 0.0, condensed.reduce(local.load)[1])
-    return condensed
+    return Condensed(local, factors, contact, 0.5 * (schur + schur.T), shift)
+
+
+#: dofs up to which the condensation of a coarsest problem is remembered
+REMEMBERED = 1500
+
+
+def condense_coarsest(problem: DiscreteProblem) -> Condensed:
+    """Condense a coarsest problem, leniently; problems that share its matrix share the factors, where these are small.
+    """
+    if problem.n_dofs > REMEMBERED:
+        return condense(local_system(problem), lenient=True)
+    system, *parts = _eliminated(problem)
+    return Condensed(local_system(problem, system), *parts)
+
+
+@remembered_of_structure
+def _eliminated(problem: DiscreteProblem) -> tuple:
+    """The system, and all of its condensation that does not hold the problem."""
+    found = condense(local_system(problem), lenient=True)
+    return found.full.system, found.factors, found.contact, found.matrix, found.shift
 
 
 def _blocks(matrix: np.ndarray, dim: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -67,10 +67,9 @@ class StopTest:
     #: what a stalled iteration is called
     STALLED = Status.STALLED
 
-    def __init__(self, rtol: float, limit: float, sizes: Sizes,
-                 certificate: Callable[[float], float] | None = None) -> None:
+    def __init__(self, rtol: float, limit: float, sizes: Sizes) -> None:
         self.rtol, self.limit, self.sizes = rtol, limit, sizes
-        self._certificate, self._caution, self._asked, self._rounding = certificate, 1.0, 0, False
+        self._caution, self._asked, self._rounding = 1.0, 0, False
         self.changes: list[float] = []
         self.size, self.residual, self.error_estimate, self.met = 0.0, np.inf, np.inf, False
         self._last = np.nan
@@ -111,20 +110,26 @@ class StopTest:
 
     def doubted(self, cycles: int) -> bool:
         """Whether the certificate contradicts a test that is met after this number of cycles."""
-        if self._certificate is None or self._rounding:
+        if self._rounding:
             return False
         if self.error_estimate > self.rtol and cycles < 1.5 * self._asked:
             return True
-        ratio, self._asked = self._certificate(self.rtol), cycles
+        ratio, self._asked = self.shortfall(), cycles
+        if ratio is None:
+            return False
         if ratio == 0.0:
             self.error_estimate = min(self.error_estimate, self.rtol)  # caution was too large
         elif self.error_estimate < 1.5 * ratio * self.rtol:
             self._caution *= max(2.0, 1.5 * ratio)
         return ratio > 0.0
 
+    def shortfall(self) -> float | None:
+        """By how many times the certificate finds the last iterate short of rtol; None if it is not asked."""
+        return None
+
     def certified(self) -> bool:
         """Whether the certificate finds the last iterate good enough; near rounding no rate shows that any more."""
-        if self._certificate is None or not self.residual_met or self._certificate(self.rtol) > 0.0:
+        if not self.residual_met or self.shortfall() != 0.0:
             return False
         self.error_estimate = min(self.error_estimate, self.rtol)
         return True
@@ -197,8 +202,7 @@ class IterateTest(StopTest):
     def __init__(self, local: LocalProblem, rtol: float, limit: float, run: Run | None = None,
                  reference: np.ndarray | None = None, sizes: Sizes | None = None,
                  displacement: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
-        super().__init__(rtol, limit, Sizes(local.discrete, local.frames) if sizes is None else sizes,
-                         None if displacement is None else self._shortfall)
+        super().__init__(rtol, limit, Sizes(local.discrete, local.frames) if sizes is None else sizes)
         self._displacement = displacement
         if reference is None and run is not None and run.reference is not None:
             reference = local.to_local(run.reference)
@@ -208,8 +212,8 @@ class IterateTest(StopTest):
         self._unknowns: np.ndarray | None = None
         self._r: np.ndarray | None = None
 
-    def _shortfall(self, rtol: float) -> float:
-        return self.run.shortfall(self._displacement(self._unknowns), rtol)
+    def shortfall(self) -> float | None:
+        return None if self._displacement is None else self.run.shortfall(self._displacement(self._unknowns), self.rtol)
 
     def take(self, unknowns: np.ndarray, r: np.ndarray) -> None:
         """Take an iterate and its residual r = b - A w (n_dofs,)."""

@@ -29,10 +29,9 @@ from adaptmg._runtime import remembered
 from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.smoother.system import local_system
 from adaptmg.solver.advice import advise
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.factorisation import condense
+from adaptmg.solver.factorisation import REMEMBERED, condense_coarsest
 
 _LOG = logging.getLogger(__name__)
 
@@ -321,22 +320,21 @@ def _vector(values: np.ndarray, size: float) -> str:
     return "(" + ", ".join(f"{0.0 if abs(v) < 1e-6 * size else v:.4g}" for v in values) + ")"
 
 
-#: dofs, and contact dofs, up to which the estimate costs next to nothing
-_SMALL, _SMALL_CONTACT = 1500, 200
+#: contact dofs up to which the estimate costs next to nothing
+_SMALL_CONTACT = 200
 
 
 @remembered_of_structure
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     """The critical coefficient of each contact node if it touches alone."""
-    local = local_system(problem)
     dim, n = problem.dim, len(problem.contact)
-    schur = condense(local).matrix
-    values, vectors = np.linalg.eigh(schur)
-    if not values[0] > 1e-10 * values[-1]:
+    condensed = condense_coarsest(problem)
+    values, vectors = np.linalg.eigh(condensed.matrix)
+    if not condensed.regular or not values[0] > 1e-10 * values[-1]:
         return np.full(n, np.nan)
     compliance = (vectors / values) @ vectors.T
     blocks = compliance.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n), :]
-    held = local.system.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
+    held = condensed.full.system.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     result = np.full(n, np.inf)
     stiffness = np.linalg.inv(blocks[~held])
     across = np.linalg.norm(stiffness[:, 0, 1:], axis=1)
@@ -349,7 +347,7 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
 def warn_of_several_solutions(grids: Hierarchy) -> None:
     """Warn where the friction of a node exceeds the estimate on the coarsest grid, if that is cheap."""
     problem = getattr(grids[0], "discrete", None)
-    if problem is None or problem.n_dofs > _SMALL or len(problem.contact) * problem.dim > _SMALL_CONTACT:
+    if problem is None or problem.n_dofs > REMEMBERED or len(problem.contact) * problem.dim > _SMALL_CONTACT:
         return
     friction = problem.law.bounds(len(problem.contact))[1]
     if not friction.any():

@@ -30,13 +30,12 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import NestedStart, project
-from adaptmg.multigrid.linear_cycle import LinearCycle, LinearSmoother, LinearSolve, regular_matrix
+from adaptmg.multigrid.linear_cycle import LinearCycle, LinearSmoother, LinearSolve
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import Ring, TruncatedStep
-from adaptmg.smoother.system import local_system
 from adaptmg.solver.active_set import ActiveSet, coarsest_solution
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.iterate import StopTest, iterate, true_error
@@ -73,8 +72,7 @@ class TruncatedIteration(StopTest):
     def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
                  run: Run | None = None, cold: bool = False, first_rate: float | None = None,
                  nested: np.ndarray | None = None, hands_over: bool = False) -> None:
-        super().__init__(0.0 if rtol == "discretisation" else rtol, limit, Sizes(problem),
-                         None if run is None else self._shortfall)
+        super().__init__(0.0 if rtol == "discretisation" else rtol, limit, Sizes(problem))
         self.multigrid, self.problem, self.run = multigrid, problem, run
         self.cycles = self.changed = 0
         self.residuals: list[float] = []
@@ -149,9 +147,12 @@ class TruncatedIteration(StopTest):
         """See :class:`~adaptmg.solver.iterate.StopTest`; after one cycle the first rate."""
         return self._first_rate if self._first_rate is not None and len(self.changes) == 1 else super().safe_rate
 
-    def _shortfall(self, rtol: float) -> float:
-        """The certificate's answer; none where no iterate can be better."""
-        return 0.0 if self.rests() else self.run.shortfall(self.problem.with_prescribed(self.multigrid.unknowns), rtol)
+    def shortfall(self) -> float | None:
+        """See :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate can be better."""
+        if self.run is None:
+            return None
+        displacement = self.problem.with_prescribed(self.multigrid.unknowns)
+        return 0.0 if self.rests() else self.run.shortfall(displacement, self.rtol)
 
     def _estimate(self) -> float:
         rate = self.safe_rate
@@ -341,18 +342,16 @@ class TruncatedRun:
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
         """Solve the coarsest level by semismooth Newton steps; each counts a pass, its factorisation as seconds."""
-        problem, level = self.problems[0], self.cycle.levels[0]
+        problem = self.problems[0]
         with self.run.phase("start"):
-            # rows are empty where dofs are fixed, and where the next mesh is locally the coarser one
-            local = local_system(problem, regular_matrix(level, problem.matrix.diagonal()))
             try:
-                unknowns, steps = coarsest_solution(local, start.rtol, self.run.unit)
+                solution, steps = coarsest_solution(problem, start.rtol, self.run.unit)
             except (np.linalg.LinAlgError, ValueError) as error:
                 _LOG.info("coarsest level: the active set method gives up: %s", error)
                 return np.zeros(problem.n_dofs)
-            self.run.count(steps, level.nonzeros)
+            self.run.count(steps, problem.matrix.nnz)
             self.run.visit(0, "solve", steps)
-            return problem.from_prescribed(local.to_cartesian(unknowns))
+            return problem.from_prescribed(solution)
 
     def _start_cycles(self, number: int, unknowns: np.ndarray, start: NestedStart) -> np.ndarray:
         step, problem = self._step(number, unknowns), self.problems[number]
