@@ -114,6 +114,20 @@ def _shared(ranges: Sequence[tuple[int, int]], kernel: Callable[..., Any], argum
     return results
 
 
+def product(matrix: sparse.bsr_array, vector: np.ndarray, of: Callable[[Any], Any] | None = None) -> np.ndarray:
+    """A v (n,), or f(A) v with ``of`` the function f of the rows of A."""
+    dim, result = matrix.blocksize[0], np.empty(matrix.shape[0])
+
+    def multiply(first: int, last: int) -> None:
+        begin, end = matrix.indptr[first], matrix.indptr[last]
+        blocks = matrix.data[begin:end], matrix.indices[begin:end], matrix.indptr[first:last + 1] - begin
+        rows = sparse.bsr_array(blocks, shape=(dim * (last - first), matrix.shape[1]))
+        result[dim * first:dim * last] = (rows if of is None else of(rows)) @ vector
+
+    in_parts(multiply, len(matrix.indptr) - 1, matrix.data.size)
+    return result
+
+
 @dataclass(frozen=True, eq=False)
 class Strips:
     """Nodes in the order of a forward sweep."""
