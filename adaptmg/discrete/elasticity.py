@@ -95,12 +95,8 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     data = np.empty((len(indices), dim, dim))
     arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
     if dim == 3:
-        gradients, terms = np.empty((len(mesh.elements), 4, 3)), np.empty((len(mesh.elements), 2))
-        bad = max(in_parts(solid_terms, len(mesh.elements), gradients.size, *arguments, gradients, terms))
-        if bad < 0:
-            in_parts(add_solid, mesh.n_nodes, data.size, mesh.elements, gradients, terms, *of_nodes, indptr, indices,
-                     data)
-            in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
+        bad = max(in_parts(add_solid, mesh.n_nodes, data.size, *arguments, *of_nodes, indptr, indices, data))
+        in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
     else:
         # not np.zeros: its pages are mapped one by one while they are written, several times slower
         in_parts(_clear, len(data), data.size, data)
@@ -272,36 +268,28 @@ def add_plane(points, elements, body, lame, shear, indptr, indices, data):
 
 
 @kernel
-def solid_terms(first, last, points, elements, body, lame, shear, gradients, terms):
-    """Gradients (n_elements, 4, 3) of the shape functions, and volumes times lambda and mu (n_elements, 2). Returns a
-    bad element, or -1."""
-    for e in range(first, last):
-        volume = solid_gradients(points, elements[e], gradients[e])
-        if not volume > 0.0:
-            return e
-        terms[e, 0], terms[e, 1] = volume * lame[body[e]], volume * shear[body[e]]
-    return -1
-
-
-@kernel
-def add_solid(first, last, elements, gradients, terms, start, listed, indptr, indices, data):
-    """Write the upper half of rows of solid elasticity. ``listed`` are the elements of each node."""
-    slot = np.empty(len(indptr) - 1, dtype=np.int64)
+def add_solid(first, last, points, elements, body, lame, shear, start, listed, indptr, indices, data):
+    """Write the upper half of rows of solid elasticity; ``lame`` and ``shear`` are those of the bodies, ``listed`` the
+    elements of each node. Returns a bad element, or -1."""
+    g, slot = np.empty((4, 3)), np.empty(len(indptr) - 1, dtype=np.int64)
     for i in range(first, last):
         for at in range(indptr[i], indptr[i + 1]):
             slot[indices[at]] = at
         data[slot[i]:indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
             e = listed[k]
-            corners, one, mu = elements[e], terms[e, 0], terms[e, 1]
+            corners, volume = elements[e], solid_gradients(points, elements[e], g)
+            if not volume > 0.0:
+                return e
+            one, mu = volume * lame[body[e]], volume * shear[body[e]]
             a = 0
             while corners[a] != i:
                 a += 1
-            x, y, z = gradients[e, a, 0], gradients[e, a, 1], gradients[e, a, 2]
+            x, y, z = g[a, 0], g[a, 1], g[a, 2]
             for b in range(4):
                 if corners[b] < i:
                     continue
-                u, v, w = gradients[e, b, 0], gradients[e, b, 1], gradients[e, b, 2]
+                u, v, w = g[b, 0], g[b, 1], g[b, 2]
                 block, dot = data[slot[corners[b]]], mu * (x * u + y * v + z * w)
                 block[0, 0] += one * (x * u) + mu * (x * u) + dot
                 block[0, 1] += one * (x * v) + mu * (y * u)
@@ -312,6 +300,7 @@ def add_solid(first, last, elements, gradients, terms, start, listed, indptr, in
                 block[2, 0] += one * (z * u) + mu * (x * w)
                 block[2, 1] += one * (z * v) + mu * (y * w)
                 block[2, 2] += one * (z * w) + mu * (z * w) + dot
+    return -1
 
 
 @kernel
