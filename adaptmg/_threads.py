@@ -114,6 +114,27 @@ def _shared(ranges: Sequence[tuple[int, int]], kernel: Callable[..., Any], argum
     return results
 
 
+def scattering(columns: np.ndarray, starts: np.ndarray | None = None, size: int = 0) -> list[list[tuple[int, int]]]:
+    """Ranges of rows in two colours: those of a colour write to different ``columns`` (given row by row; row k begins at
+    ``starts[k]``, or all rows are as long). One range if the rows read few numbers (``size``), or where the order of
+    rows and columns has little to do with each other."""
+    n = len(columns) if starts is None else len(starts) - 1
+    bounds = [n * k // PARTS for k in range(PARTS + 1)]
+    if size >= LARGE:
+        flat = columns.reshape(-1)
+        at = np.array(bounds[:-1]) * (len(flat) // n) if starts is None else starts[bounds[:-1]]
+        least, most = np.minimum.reduceat(flat, at), np.maximum.reduceat(flat, at)
+        if (most[:-2] < least[2:]).all():
+            ranges = list(pairwise(bounds))
+            return [ranges[::2], ranges[1::2]]
+    return [[(0, n)]]
+
+
+def in_colours(colours: list[list[tuple[int, int]]], kernel: Callable[..., Any], *arguments: object) -> list[Any]:
+    """What ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the other."""
+    return [value for ranges in colours for value in _shared(ranges, kernel, arguments)]
+
+
 def product(matrix: sparse.bsr_array, vector: np.ndarray, of: Callable[[Any], Any] | None = None) -> np.ndarray:
     """A v (n,), or f(A) v with ``of`` the function f of the rows of A."""
     dim, result = matrix.blocksize[0], np.empty(matrix.shape[0])
@@ -162,8 +183,7 @@ class Strips:
 
     def sweep(self, kernel: Callable[..., Any], *arguments: object, backward: bool = False) -> None:
         """Call ``kernel(first, last, order, *arguments)``, which sweeps over these places, for all strips."""
-        for ranges in reversed(self.colours) if backward else self.colours:
-            _shared(ranges, kernel, (self.order, *arguments))
+        in_colours(self.colours[::-1] if backward else self.colours, kernel, self.order, *arguments)
 
 
 def _bounds(last: np.ndarray) -> list[int]:

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._runtime import inner_kernel, kernel
-from adaptmg._threads import in_parts
+from adaptmg._threads import in_colours, in_parts, scattering
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.materials import Axisymmetric, Elastic
@@ -103,7 +103,8 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
         if is_axisymmetric(materials):
             bad = add_axisymmetric(*arguments, *quadrature_rule(3, AXISYMMETRIC_DEGREE), indptr, indices, data)
         else:
-            bad = add_plane(*arguments, indptr, indices, data)
+            ranges = scattering(mesh.elements, size=data.size)
+            bad = max(in_colours(ranges, add_plane, *arguments, indptr, indices, data))
     if bad >= 0:
         raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
                          "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
@@ -250,20 +251,20 @@ def _add_plane_block(a, b, xx, xy, yx, yy, indptr, indices, data):
 
 
 @kernel
-def add_plane(points, elements, body, lame, shear, indptr, indices, data):
+def add_plane(first, last, points, elements, body, lame, shear, indptr, indices, data):
     """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies."""
     g = np.empty((3, 2))
-    for e in range(len(elements)):
+    for e in range(first, last):
         area = plane_gradients(points, elements[e], g)
         if not area > 0.0:
             return e
-        first, mu = area * lame[body[e]], area * shear[body[e]]
-        both = first + 2.0 * mu
+        one, mu = area * lame[body[e]], area * shear[body[e]]
+        both = one + 2.0 * mu
         for a in range(3):
             for b in range(a, 3):
                 xx, yy, xy, yx = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
-                _add_plane_block(elements[e, a], elements[e, b], both * xx + mu * yy, first * xy + mu * yx,
-                                 first * yx + mu * xy, both * yy + mu * xx, indptr, indices, data)
+                _add_plane_block(elements[e, a], elements[e, b], both * xx + mu * yy, one * xy + mu * yx,
+                                 one * yx + mu * xy, both * yy + mu * xx, indptr, indices, data)
     return -1
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from adaptmg._runtime import kernel
 from adaptmg._threads import in_parts
 from adaptmg.multigrid import projected_sweeps
-from adaptmg.multigrid.half_sweeps import combine, dot, product_of_change, restrict, shorten, stiff_squares, zero_at
+from adaptmg.multigrid.half_sweeps import combine, dot, product_of_change, shorten, stiff_squares, zero_at
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
@@ -139,11 +139,7 @@ class TruncatedStep:
 
     def _restrict(self) -> float:
         """Restrict the truncated residual for the recombination; returns its sum of squares."""
-        now = self.recombination.residuals.now
-        total = restrict(*self._transfer, self.residual, now)
-        zero_at(now, self.below.fixed)
-        self.cycle.recorder.visit(self.number, "restrict")
-        return total
+        return self.cycle.restrict(self.number, self.residual, self.recombination.residuals.now)
 
     def _recombine(self, places: np.ndarray) -> np.ndarray:
         """Weights of the past iterates; the load of the next coarser level becomes that of the recombination."""
