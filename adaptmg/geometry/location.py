@@ -56,7 +56,7 @@ class SimplexLocator:
         # about as long as it takes to read this many numbers
         size = 20 * n
         in_parts(locate, n, size, padded(queries), morton_order(queries), self.tree.points, self.tree.simplices,
-                 self.maps, self.tree.boxes, found, weights, distance)
+                 self.maps, self.tree.boxes, found, weights, distance, joined=False)
         return Location(element=self.element_of[found], weights=weights, distance=distance)
 
 
