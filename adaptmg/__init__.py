@@ -10,7 +10,7 @@ Domain      Rectangle, Circle, Polygon, Outline; Box, Ball, Cylinder, Extrusion,
             Common, Moved; Assembly of several bodies; ready problems in cases, problem data in problem
 Grids       Hierarchy (a Level for each grid): uniform, graded, from_meshes, ...; transfers Interpolation, PseudoL2, L2,
             LumpedL2, QuasiInterpolation; mesh, MeshArrays, SizeNear
-Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG
+Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG; set_threads
 Ingredients Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel; corrections Truncated, Monotone, PaperCorrection;
             modules multigrid, smoother, transfer, solver
 Result      Result, Status, NotConverged, Certificate, PathResult; contact states OPEN, SLIP, STICK
@@ -42,6 +42,7 @@ _SUBMODULES = ("cases", "discrete", "estimate", "export", "mesh", "multigrid", "
                "solver", "study", "transfer")
 
 _WHERE = {
+    "adaptmg._threads": ("set_threads",),
     "adaptmg.problem": ("Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact",
                         "ContactPair", "ContactProblem", "Coulomb", "Cut", "Cylinder", "Extrusion", "Frictionless",
                         "Fuse", "GapFunction", "InitialStrain", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",

@@ -12,6 +12,7 @@ from adaptmg import smoother as smoother
 from adaptmg import solver as solver
 from adaptmg import study as study
 from adaptmg import transfer as transfer
+from adaptmg._threads import set_threads as set_threads
 from adaptmg.discrete.discretise import discretise as discretise
 from adaptmg.discrete.problem import ContactNodes as ContactNodes
 from adaptmg.discrete.problem import DiscreteProblem as DiscreteProblem

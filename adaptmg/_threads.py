@@ -94,14 +94,29 @@ def _tasks_at_a_time() -> int:
         return 1
 
 
-def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object) -> list[Any]:
-    """What ``kernel(first, last, *arguments)`` returns for the parts of n rows, in their order: one part unless the
-    rows read LARGE numbers (``size``) together."""
+def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, joined: bool = True) -> list[Any]:
+    """What ``kernel(first, last, *arguments)`` returns for parts of n rows: one unless they read LARGE numbers
+    (``size``) together, else one a thread, or PARTS if they are not ``joined``, as where a row depends on others."""
+    return _shared(_parts(n, size), kernel, arguments, joined)
+
+
+def sum_of_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object) -> Any:
+    """The sum of what ``kernel(first, last, *arguments)`` returns for parts that do not depend on the threads."""
+    return np.sum(in_parts(kernel, n, size, *arguments, joined=False), axis=0)
+
+
+def _parts(n: int, size: int) -> list[tuple[int, int]]:
     count = PARTS if size >= LARGE else 1
-    return _shared([(n * k // count, n * (k + 1) // count) for k in range(count)], kernel, arguments)
+    return [(n * k // count, n * (k + 1) // count) for k in range(count)]
 
 
-def _shared(ranges: Sequence[tuple[int, int]], kernel: Callable[..., Any], arguments: tuple[object, ...]) -> list[Any]:
+def _shared(ranges: Sequence[tuple[int, int]], kernel: Callable[..., Any], arguments: tuple[object, ...],
+            joined: bool = False) -> list[Any]:
+    """Results for the ranges, which may be ``joined``, those of each thread to one, if they follow one another."""
+    if joined:
+        count = min(_THREADS.number, len(ranges))
+        ends = [len(ranges) * k // count for k in range(count + 1)]
+        ranges = [(ranges[first][0], ranges[last - 1][1]) for first, last in pairwise(ends)]
     if len(ranges) == 1 or _THREADS.number == 1:
         return [kernel(first, last, *arguments) for first, last in ranges]
     results, left = [None] * len(ranges), iter(range(len(ranges)))
@@ -112,6 +127,41 @@ def _shared(ranges: Sequence[tuple[int, int]], kernel: Callable[..., Any], argum
 
     _THREADS.run(work)
     return results
+
+
+def scattering(columns: np.ndarray, starts: np.ndarray | None = None, size: int = 0) -> list[list[tuple[int, int]]]:
+    """Ranges of rows in two colours: those of a colour write to different ``columns``, given row by row (row k from
+    ``starts[k]`` on, or all rows are as long). One range if they read few numbers (``size``), or where the order of
+    rows and columns has little to do with each other."""
+    n = len(columns) if starts is None else len(starts) - 1
+    bounds = [n * k // PARTS for k in range(PARTS + 1)]
+    if size >= LARGE:
+        flat = columns.reshape(-1)
+        at = np.array(bounds[:-1]) * (len(flat) // n) if starts is None else starts[bounds[:-1]]
+        least, most = np.minimum.reduceat(flat, at), np.maximum.reduceat(flat, at)
+        if (most[:-2] < least[2:]).all():
+            ranges = list(pairwise(bounds))
+            return [ranges[::2], ranges[1::2]]
+    return [[(0, n)]]
+
+
+def in_colours(colours: list[list[tuple[int, int]]], kernel: Callable[..., Any], *arguments: object) -> list[Any]:
+    """What ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the other."""
+    return [value for ranges in colours for value in _shared(ranges, kernel, arguments)]
+
+
+def product(matrix: sparse.bsr_array, vector: np.ndarray, of: Callable[[Any], Any] | None = None) -> np.ndarray:
+    """A v (n,), or f(A) v with ``of`` the function f of the rows of A."""
+    dim, result = matrix.blocksize[0], np.empty(matrix.shape[0])
+
+    def multiply(first: int, last: int) -> None:
+        begin, end = matrix.indptr[first], matrix.indptr[last]
+        blocks = matrix.data[begin:end], matrix.indices[begin:end], matrix.indptr[first:last + 1] - begin
+        rows = sparse.bsr_array(blocks, shape=(dim * (last - first), matrix.shape[1]))
+        result[dim * first:dim * last] = (rows if of is None else of(rows)) @ vector
+
+    in_parts(multiply, len(matrix.indptr) - 1, matrix.data.size)
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +198,8 @@ class Strips:
 
     def sweep(self, kernel: Callable[..., Any], *arguments: object, backward: bool = False) -> None:
         """Call ``kernel(first, last, order, *arguments)``, which sweeps over these places, for all strips."""
-        for ranges in reversed(self.colours) if backward else self.colours:
-            _shared(ranges, kernel, (self.order, *arguments))
+        for ranges in self.colours[::-1] if backward else self.colours:
+            _shared(ranges, kernel, (self.order, *arguments), joined=True)
 
 
 def _bounds(last: np.ndarray) -> list[int]:

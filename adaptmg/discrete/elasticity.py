@@ -22,6 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._threads import in_colours, in_parts, scattering
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.materials import Axisymmetric, Elastic
@@ -91,15 +92,19 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     _check_numbers(mesh)
     dim = mesh.dim
     indptr, indices, *of_nodes = _pattern(mesh.elements, mesh.n_nodes)
-    # not np.zeros: its pages are mapped one by one while they are written, several times slower
-    data = np.full((len(indices), dim, dim), 0.0)
+    data = np.empty((len(indices), dim, dim))
     arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
-    if is_axisymmetric(materials):
-        bad = add_axisymmetric(*arguments, *quadrature_rule(3, AXISYMMETRIC_DEGREE), indptr, indices, data)
-    elif dim == 2:
-        bad = add_plane(*arguments, indptr, indices, data)
+    if dim == 3:
+        bad = max(in_parts(add_solid, mesh.n_nodes, data.size, *arguments, *of_nodes, indptr, indices, data))
+        in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
     else:
-        bad = add_solid(*arguments, *of_nodes, indptr, indices, data)
+        # not np.zeros: its pages are mapped one by one while they are written, several times slower
+        in_parts(_clear, len(data), data.size, data)
+        if is_axisymmetric(materials):
+            bad = add_axisymmetric(*arguments, *quadrature_rule(3, AXISYMMETRIC_DEGREE), indptr, indices, data)
+        else:
+            ranges = scattering(mesh.elements, size=data.size)
+            bad = max(in_colours(ranges, add_plane, *arguments, indptr, indices, data))
     if bad >= 0:
         raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
                          "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
@@ -132,6 +137,10 @@ def _check_numbers(mesh: MeshArrays) -> None:
     if mesh.elements.shape[1] != mesh.dim + 1 or len(mesh.element_body) != len(mesh.elements):
         raise ValueError(f"a {mesh.dim}D mesh needs elements (n, {mesh.dim + 1}) and element_body (n,), got "
                          f"{mesh.elements.shape} and {mesh.element_body.shape}")
+
+
+def _clear(first: int, last: int, data: np.ndarray) -> None:
+    data[first:last] = 0.0
 
 
 @kernel
@@ -242,69 +251,70 @@ def _add_plane_block(a, b, xx, xy, yx, yy, indptr, indices, data):
 
 
 @kernel
-def add_plane(points, elements, body, lame, shear, indptr, indices, data):
+def add_plane(first, last, points, elements, body, lame, shear, indptr, indices, data):
     """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies."""
     g = np.empty((3, 2))
-    for e in range(len(elements)):
+    for e in range(first, last):
         area = plane_gradients(points, elements[e], g)
         if not area > 0.0:
             return e
-        first, mu = area * lame[body[e]], area * shear[body[e]]
-        both = first + 2.0 * mu
+        one, mu = area * lame[body[e]], area * shear[body[e]]
+        both = one + 2.0 * mu
         for a in range(3):
             for b in range(a, 3):
                 xx, yy, xy, yx = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
-                _add_plane_block(elements[e, a], elements[e, b], both * xx + mu * yy, first * xy + mu * yx,
-                                 first * yx + mu * xy, both * yy + mu * xx, indptr, indices, data)
+                _add_plane_block(elements[e, a], elements[e, b], both * xx + mu * yy, one * xy + mu * yx,
+                                 one * yx + mu * xy, both * yy + mu * xx, indptr, indices, data)
     return -1
 
 
 @kernel
-def add_solid(points, elements, body, lame, shear, start, listed, indptr, indices, data):
-    """Add the element matrices of solid elasticity, row by row; ``lame`` and ``shear`` are those of the bodies.
-    ``listed`` are the elements of each node. Both halves of the matrix are written when the row of the smaller node is
-    summed: the blocks of a row and those of its transpose come from the elements in the same order."""
-    g, of = np.empty((len(elements), 4, 3)), np.empty((len(elements), 2))
-    for e in range(len(elements)):
-        volume = solid_gradients(points, elements[e], g[e])
-        if not volume > 0.0:
-            return e
-        of[e, 0], of[e, 1] = volume * lame[body[e]], volume * shear[body[e]]
-    slot, next_in = np.empty(len(points), dtype=np.int64), indptr[:-1].copy()
-    for i in range(len(points)):
+def add_solid(first, last, points, elements, body, lame, shear, start, listed, indptr, indices, data):
+    """Write the upper half of rows of solid elasticity; ``lame`` and ``shear`` are those of the bodies, ``listed`` the
+    elements of each node. Returns a bad element, or -1."""
+    g, slot = np.empty((4, 3)), np.empty(len(indptr) - 1, dtype=np.int64)
+    for i in range(first, last):
         for at in range(indptr[i], indptr[i + 1]):
             slot[indices[at]] = at
+        data[slot[i]:indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
             e = listed[k]
-            corners, first, mu = elements[e], of[e, 0], of[e, 1]
+            corners, volume = elements[e], solid_gradients(points, elements[e], g)
+            if not volume > 0.0:
+                return e
+            one, mu = volume * lame[body[e]], volume * shear[body[e]]
             a = 0
             while corners[a] != i:
                 a += 1
-            x, y, z = g[e, a, 0], g[e, a, 1], g[e, a, 2]
+            x, y, z = g[a, 0], g[a, 1], g[a, 2]
             for b in range(4):
                 if corners[b] < i:
                     continue
-                u, v, w = g[e, b, 0], g[e, b, 1], g[e, b, 2]
+                u, v, w = g[b, 0], g[b, 1], g[b, 2]
                 block, dot = data[slot[corners[b]]], mu * (x * u + y * v + z * w)
-                block[0, 0] += first * (x * u) + mu * (x * u) + dot
-                block[0, 1] += first * (x * v) + mu * (y * u)
-                block[0, 2] += first * (x * w) + mu * (z * u)
-                block[1, 0] += first * (y * u) + mu * (x * v)
-                block[1, 1] += first * (y * v) + mu * (y * v) + dot
-                block[1, 2] += first * (y * w) + mu * (z * v)
-                block[2, 0] += first * (z * u) + mu * (x * w)
-                block[2, 1] += first * (z * v) + mu * (y * w)
-                block[2, 2] += first * (z * w) + mu * (z * w) + dot
-        # rows are sorted: the transposes arrive in the order of their columns
-        for at in range(indptr[i], indptr[i + 1]):
-            j = indices[at]
-            if j > i:
-                there = next_in[j]
-                next_in[j] += 1
-                for k in range(3):
-                    for m in range(3):
-                        data[there, m, k] = data[at, k, m]
+                block[0, 0] += one * (x * u) + mu * (x * u) + dot
+                block[0, 1] += one * (x * v) + mu * (y * u)
+                block[0, 2] += one * (x * w) + mu * (z * u)
+                block[1, 0] += one * (y * u) + mu * (x * v)
+                block[1, 1] += one * (y * v) + mu * (y * v) + dot
+                block[1, 2] += one * (y * w) + mu * (z * v)
+                block[2, 0] += one * (z * u) + mu * (x * w)
+                block[2, 1] += one * (z * v) + mu * (y * w)
+                block[2, 2] += one * (z * w) + mu * (z * w) + dot
     return -1
+
+
+@kernel
+def mirror(first, last, indptr, indices, data):
+    """Write the lower half of rows: the transposes of the upper one."""
+    for i in range(first, last):
+        at = indptr[i]
+        while indices[at] < i:
+            block = data[_position(indptr, indices, indices[at], i)]
+            for k in range(3):
+                for m in range(3):
+                    data[at, k, m] = block[m, k]
+            at += 1
 
 
 @kernel

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel, read_only
+from adaptmg._threads import in_parts
 from adaptmg.geometry.search import STACK, BoxTree, leaf_range, morton_order, nearest_simplex, padded
 
 
@@ -52,8 +53,10 @@ class SimplexLocator:
         n = len(queries)
         found = np.empty(n, dtype=np.int64)
         weights, distance = np.empty((n, self.dim + 1)), np.empty(n)
-        locate(padded(queries), morton_order(queries), self.tree.points, self.tree.simplices, self.maps,
-               self.tree.boxes, found, weights, distance)
+        # about as long as it takes to read this many numbers
+        size = 20 * n
+        in_parts(locate, n, size, padded(queries), morton_order(queries), self.tree.points, self.tree.simplices,
+                 self.maps, self.tree.boxes, found, weights, distance, joined=False)
         return Location(element=self.element_of[found], weights=weights, distance=distance)
 
 
@@ -149,15 +152,17 @@ def _find(x, y, z, start, maps, boxes, dim, stack):
 
 
 @kernel
-def locate(queries, sequence, points, elements, maps, boxes, found, weights, distance):
-    """Locate ``queries`` (n, 3) in the order ``sequence``; points outside get the closest point of the mesh."""
+def locate(first, last, queries, sequence, points, elements, maps, boxes, found, weights, distance):
+    """Locate ``queries`` (n, 3) in the order ``sequence[first:last]``; points outside get the closest point of the
+    mesh."""
     k = elements.shape[1]
     dim = k - 1
     n_leaves = (len(boxes) + 1) // 2
     trial, candidate = np.empty(k), np.empty(k)
     stack = np.empty(STACK, dtype=np.int64)
     leaf = n_leaves - 1
-    for q in sequence:
+    for s in range(first, last):
+        q = sequence[s]
         # numbers, not slices: making a slice costs more than looking into an element
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         best, at = _find(x, y, z, leaf, maps, boxes, dim, stack)

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._runtime import OnDemand, kernel, made_on_demand
 from adaptmg._text import shortened
+from adaptmg._threads import in_parts
 from adaptmg.mesh.picture import svg
 
 if TYPE_CHECKING:
@@ -178,9 +179,24 @@ class MeshArrays:
     @cached_property
     def volumes(self) -> np.ndarray:
         """Signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
-        corners = self.points[self.elements]
-        edges = corners[:, 1:] - corners[:, :1]
-        return np.linalg.det(edges) / (2 if self.dim == 2 else 6)
+        result = np.empty(len(self.elements))
+        in_parts(_determinants, len(result), 8 * len(result), self.points, self.elements, result)
+        return result / (2 if self.dim == 2 else 6)
+
+
+@kernel
+def _determinants(first, last, points, elements, result):
+    """Determinants of the edges from the first corner of each element."""
+    for e in range(first, last):
+        a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
+        x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        result[e] = x1 * y2 - y1 * x2
+        if points.shape[1] == 3:
+            d = elements[e, 3]
+            z1, z2, z3 = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2], points[d, 2] - points[a, 2]
+            x3, y3 = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1]
+            result[e] = result[e] * z3 + (y1 * z2 - z1 * y2) * x3 + (z1 * x2 - x1 * z2) * y3
 
 
 def longest_edges(corners: np.ndarray) -> np.ndarray:

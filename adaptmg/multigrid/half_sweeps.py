@@ -152,12 +152,11 @@ def shorten(alpha, old, new):
 
 
 @kernel
-def restrict(zero, indptr, indices, weights, r, coarse):
-    """coarse = P' r; returns r'r."""
+def restrict(first, last, zero, indptr, indices, weights, r, coarse):
+    """coarse += P' r; returns r'r."""
     dim = np.uint64(len(zero))
-    coarse[:] = 0.0
     squares = 0.0
-    for node in range(len(indptr) - 1):
+    for node in range(first, last):
         i = np.uint64(node)
         own = read(r, dim * i, zero)
         squares += inner(own, own)

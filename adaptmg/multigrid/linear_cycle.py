@@ -16,7 +16,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._threads import in_parts
+from adaptmg._threads import in_colours, in_parts, scattering
 from adaptmg.multigrid import half_sweeps
 from adaptmg.multigrid.corrections import Recorder
 from adaptmg.multigrid.half_sweeps import add_prolonged, restrict, zero_at
@@ -49,6 +49,7 @@ class LinearCycle:
         self.factors = CoarseFactors(self.levels[0], self.coarse_solve)
         self._vectors: dict[int, LevelVectors] = {}
         self._custom: dict[int, _LevelSmoother] = {}
+        self._scattering: dict[int, list[list[tuple[int, int]]]] = {}
 
     def renew(self, number: int) -> None:
         """Take over the matrices below level ``number``, which have changed."""
@@ -75,9 +76,7 @@ class LinearCycle:
         self.recorder.visit(number, "smooth", self.sweeps[number])
         below = self.vectors(number - 1)
         components = ZERO[level.n_dofs // nodal.shape[0]]
-        restrict(components, nodal.indptr, nodal.indices, nodal.data, v.kept, below.load)
-        zero_at(below.load, self.levels[number - 1].fixed)
-        self.recorder.visit(number, "restrict")
+        self.restrict(number, v.kept, below.load)
         correction = self.solve(number - 1)
         in_parts(add_prolonged, nodal.shape[0], 2 * level.n_dofs, components, nodal.indptr, nodal.indices, nodal.data,
                  correction, v.solution)
@@ -87,6 +86,18 @@ class LinearCycle:
         self.recorder.visit(number, "smooth", self.sweeps[number])
         self.recorder.count(passes, level.nonzeros)
         return v.solution
+
+    def restrict(self, number: int, residual: np.ndarray, coarse: np.ndarray) -> float:
+        """Restrict the residual of a level to the next coarser one; returns its sum of squares."""
+        nodal = self.prolongations[number - 1]
+        if number not in self._scattering:
+            self._scattering[number] = scattering(nodal.indices, nodal.indptr, 2 * self.levels[number].n_dofs)
+        coarse[:] = 0.0
+        squares = in_colours(self._scattering[number], restrict, ZERO[len(residual) // nodal.shape[0]], nodal.indptr,
+                             nodal.indices, nodal.data, residual, coarse)
+        zero_at(coarse, self.levels[number - 1].fixed)
+        self.recorder.visit(number, "restrict")
+        return sum(squares)
 
     def _before(self, number: int, v: LevelVectors) -> float:
         """Smooth from zero; the residual is left in ``kept``. Returns the passes, those of the residual included."""

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg._runtime import kernel
-from adaptmg._threads import in_parts
+from adaptmg._threads import in_parts, sum_of_parts
 from adaptmg.multigrid import projected_sweeps
-from adaptmg.multigrid.half_sweeps import combine, dot, product_of_change, restrict, shorten, stiff_squares, zero_at
+from adaptmg.multigrid.half_sweeps import combine, dot, product_of_change, shorten, stiff_squares, zero_at
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
@@ -139,11 +139,7 @@ class TruncatedStep:
 
     def _restrict(self) -> float:
         """Restrict the truncated residual for the recombination; returns its sum of squares."""
-        now = self.recombination.residuals.now
-        total = restrict(*self._transfer, self.residual, now)
-        zero_at(now, self.below.fixed)
-        self.cycle.recorder.visit(self.number, "restrict")
-        return total
+        return self.cycle.restrict(self.number, self.residual, self.recombination.residuals.now)
 
     def _recombine(self, places: np.ndarray) -> np.ndarray:
         """Weights of the past iterates; the load of the next coarser level becomes that of the recombination."""
@@ -171,7 +167,7 @@ class TruncatedStep:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
         curvature = self._energy_product(proposed)
         n = len(proposed)
-        gain = sum(in_parts(product_of_change, n, 3 * n, self.residual, proposed, self.unknowns))
+        gain = sum_of_parts(product_of_change, n, 3 * n, self.residual, proposed, self.unknowns)
 
         def slope(part: float) -> float:
             return part * curvature - gain + self.contact.friction_slope(before, part)
@@ -196,14 +192,14 @@ class TruncatedStep:
         """Square of the A-norm of the difference to other unknowns; half a pass."""
         level = self.level
         self.cycle.recorder.count(0.5, level.nonzeros)
-        return sum(in_parts(projected_sweeps.energy_product, level.n_nodes, len(level.lower), ZERO[level.dim],
-                            *level.lower_arrays, level.inverse, self.unknowns, other))
+        return sum_of_parts(projected_sweeps.energy_product, level.n_nodes, len(level.lower), ZERO[level.dim],
+                            *level.lower_arrays, level.inverse, self.unknowns, other)
 
     def rounding(self) -> float:
         """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that arithmetic reaches."""
         level = self.level
-        return float(np.sqrt(sum(in_parts(stiff_squares, level.n_nodes, len(level.inverse), level.dim, level.inverse,
-                                          self.unknowns))))
+        return float(np.sqrt(sum_of_parts(stiff_squares, level.n_nodes, len(level.inverse), level.dim, level.inverse,
+                                          self.unknowns)))
 
 
 def _copy(first: int, last: int, source: np.ndarray, to: np.ndarray) -> None:
@@ -212,7 +208,7 @@ def _copy(first: int, last: int, source: np.ndarray, to: np.ndarray) -> None:
 
 def _product(a: np.ndarray, b: np.ndarray) -> float:
     """a'b."""
-    return float(sum(in_parts(dot, len(a), 2 * len(a), a, b)))
+    return float(sum_of_parts(dot, len(a), 2 * len(a), a, b))
 
 
 class Ring:
@@ -272,8 +268,9 @@ class Recombination:
         if self.past:
             ring = self.residuals
             n = len(self.residuals.now)
-            sums = in_parts(_sums, n // self.dim, 6 * n, self.dim, inverse, ring.flat, ring.places(self.past))
-            _fit(np.sum(sums, axis=0), self._alpha)
+            # it computes more than it reads
+            sums = sum_of_parts(_sums, n // self.dim, 20 * n, self.dim, inverse, ring.flat, ring.places(self.past))
+            _fit(sums, self._alpha)
         return self._alpha
 
     def combine(self, alpha: np.ndarray, result: np.ndarray) -> None:

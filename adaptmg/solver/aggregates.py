@@ -15,6 +15,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from adaptmg._runtime import kernel
+from adaptmg._threads import in_parts
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, times, write
 
@@ -222,12 +223,12 @@ def _moved(q, i, zero, offset, held, kept):
 
 
 @kernel
-def _galerkin(zero, indptr, indices, data, diagonal, held, kept, offset, label, order, starts, coarse_indptr,
-              coarse_indices, coarse):
+def _galerkin(first, last, zero, indptr, indices, data, diagonal, held, kept, offset, label, order, starts,
+              coarse_indptr, coarse_indices, coarse):
     """coarse += half of B' (A + S) B: the other half is its transpose. ``diagonal`` are the blocks of A + S."""
     dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
     slot = np.zeros(len(starts) - 1, dtype=np.int32)
-    for a in range(len(starts) - 1):
+    for a in range(first, last):
         for s in range(coarse_indptr[a], coarse_indptr[a + 1]):
             slot[coarse_indices[s]] = s
         own = coarse_indptr[a]
@@ -284,8 +285,9 @@ class CoarseMatrix:
         self._zero = ZERO[dim]
         self._given = held, kept.reshape(-1), aggregates.offset.reshape(-1), aggregates.label
         half = np.zeros((len(aggregates.indices), modes, modes))
-        _galerkin(self._zero, matrix.indptr, matrix.indices, matrix.data.reshape(-1), diagonal.reshape(-1),
-                  *self._given, aggregates.order, aggregates.starts, aggregates.indptr, aggregates.indices, half)
+        in_parts(_galerkin, count, matrix.data.size, self._zero, matrix.indptr, matrix.indices,
+                 matrix.data.reshape(-1), diagonal.reshape(-1), *self._given, aggregates.order, aggregates.starts,
+                 aggregates.indptr, aggregates.indices, half)
         self._sums = np.zeros(count * modes)
         self._unknowns, self._factor = aggregates.unknowns, None
         band = np.bincount(aggregates.entries, half.reshape(-1), aggregates.band * len(self._sums))

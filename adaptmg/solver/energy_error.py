@@ -27,7 +27,8 @@ from scipy.linalg.blas import daxpy
 from scipy.sparse.linalg import splu
 
 from adaptmg._runtime import kernel
-from adaptmg.smoother.blocks import ZERO, add, in_loop, read, subtract, times, transposed_times, write
+from adaptmg._threads import Strips, in_parts
+from adaptmg.smoother.blocks import ONE, ZERO, add, in_loop, read, subtract, times, transposed_times, write
 from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 
 #: least steps and share of the energy that may be missing, up to the first number of nodes and beyond
@@ -72,10 +73,10 @@ def add_forces(indptr, indices, data, nodes, change, forces):
 
 
 @kernel
-def _inverses(zero, indptr, indices, data, diagonal, inverse):
+def _inverses(first, last, zero, indptr, indices, data, diagonal, inverse):
     """Diagonal blocks of a matrix and their inverses, by cofactors."""
     dim = len(zero)
-    for i in range(len(indptr) - 1):
+    for i in range(first, last):
         for p in range(indptr[i], indptr[i + 1]):
             if indices[p] == i:
                 for k in range(dim):
@@ -104,46 +105,49 @@ def _plus(array, at, v):
 
 
 @kernel
-def _forward(zero, indptr, indices, data, inverse, load, u, rest):
-    """Gauss-Seidel from zero, and the residual that it leaves: the lower half of the matrix alone is read."""
+def _forward(first, last, order, zero, indptr, indices, data, rank, inverse, load, u, rest):
+    """Gauss-Seidel from zero over places of ``order``, and the residual that it leaves in ``rest``, which comes as 0.
+    Of the matrix the half that couples a node with those of lower ``rank`` is read."""
     dim = np.uint64(len(zero))
     size = dim * dim
-    rest[:] = 0.0
-    for node in range(len(indptr) - 1):
-        i = np.uint64(node)
-        r = read(load, dim * i, zero)
-        end = indptr[node]
-        while indices[end] < node:
-            r = subtract(r, times(data, size * np.uint64(end), read(u, dim * np.uint64(indices[end]), zero)))
-            end += 1
+    for place in range(first, last):
+        i = np.uint64(order[place])
+        own, r = rank[i], read(load, dim * i, zero)
+        for p in range(indptr[i], indptr[i + ONE]):
+            if rank[indices[p]] < own:
+                r = subtract(r, times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero)))
         value = times(inverse, size * i, r)
         write(u, dim * i, value)
-        for p in range(indptr[node], end):
-            at = dim * np.uint64(indices[p])
-            write(rest, at, subtract(read(rest, at, zero), transposed_times(data, size * np.uint64(p), value)))
+        for p in range(indptr[i], indptr[i + ONE]):
+            if rank[indices[p]] < own:
+                at = dim * np.uint64(indices[p])
+                write(rest, at, subtract(read(rest, at, zero), transposed_times(data, size * np.uint64(p), value)))
 
 
 @kernel
-def _backward(zero, indptr, indices, data, inverse, load, u, image):
-    """Gauss-Seidel from u, and the matrix times what it ends with, in one pass."""
+def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, load, u, image):
+    """Gauss-Seidel from u, and the matrix times what it ends with in ``image``, which comes as 0, in one pass."""
     dim = np.uint64(len(zero))
     size = dim * dim
-    image[:] = 0.0
-    for node in range(len(indptr) - 2, -1, -1):
-        i = np.uint64(node)
-        r, above = read(load, dim * i, zero), zero
-        p = indptr[node]
-        while indices[p] < node:
-            r = subtract(r, times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero)))
-            p += 1
-        own = p
-        for p in range(own + 1, indptr[node + 1]):
-            above = add(above, times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero)))
+    for place in range(last - 1, first - 1, -1):
+        i = np.uint64(order[place])
+        own, on_diagonal, r, above = rank[i], indptr[i], read(load, dim * i, zero), zero
+        for p in range(indptr[i], indptr[i + ONE]):
+            there = rank[indices[p]]
+            if there == own:
+                on_diagonal = p
+                continue
+            product = times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero))
+            if there < own:
+                r = subtract(r, product)
+            else:
+                above = add(above, product)
         value = times(inverse, size * i, subtract(r, above))
         write(u, dim * i, value)
-        _plus(image, dim * i, add(above, times(data, size * np.uint64(own), value)))
-        for p in range(own + 1, indptr[node + 1]):
-            _plus(image, dim * np.uint64(indices[p]), transposed_times(data, size * np.uint64(p), value))
+        _plus(image, dim * i, add(above, times(data, size * np.uint64(on_diagonal), value)))
+        for p in range(indptr[i], indptr[i + ONE]):
+            if rank[indices[p]] > own:
+                _plus(image, dim * np.uint64(indices[p]), transposed_times(data, size * np.uint64(p), value))
 
 
 class _Preconditioner:
@@ -153,9 +157,11 @@ class _Preconditioner:
         dim = status.kept.shape[1]
         n = matrix.shape[0] // dim
         self._zero = ZERO[dim]
-        self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1)
+        self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim)
+        self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
         diagonal, inverse = np.zeros((n, dim, dim)), np.empty((n, dim, dim))
-        _inverses(self._zero, matrix.indptr, matrix.indices, matrix.data, diagonal, inverse)
+        in_parts(_inverses, n, matrix.data.size, self._zero, matrix.indptr, matrix.indices, matrix.data, diagonal,
+                 inverse)
         diagonal[status.nodes] += status.stiffening
         # what is projected away has no stiffness
         inverse[status.held] = np.linalg.pinv(status.kept @ diagonal[status.held] @ status.kept, rcond=1e-12,
@@ -168,10 +174,12 @@ class _Preconditioner:
 
     def __call__(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The preconditioned residual (n_nodes, dim), and the stored matrix times it."""
-        result, image, load = np.empty_like(residual), np.empty_like(residual), residual.reshape(-1)
-        _forward(self._zero, *self._matrix, self._inverse, load, result.reshape(-1), self._rest)
+        result, image, load = np.empty_like(residual), np.zeros_like(residual), residual.reshape(-1)
+        given = self._zero, *self._matrix, self._inverse, load, result.reshape(-1)
+        self._rest[:] = 0.0
+        self._strips.sweep(_forward, *given, self._rest)
         self._coarse.correct(self._rest, result.reshape(-1))
-        _backward(self._zero, *self._matrix, self._inverse, load, result.reshape(-1), image.reshape(-1))
+        self._strips.sweep(_backward, *given, image.reshape(-1), backward=True)
         return result, image
 
 

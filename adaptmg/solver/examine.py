@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from adaptmg._threads import product
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.residuals import natural_at_nodes, states
@@ -93,7 +94,7 @@ class Examiner:
         if self._last is not None and np.array_equal(self._last[0], solved):
             return self._last[1]
         discrete = self.discrete
-        residual = discrete.matrix @ solved
+        residual = product(discrete.matrix, solved)
         energy = energy_norm(solved, residual)
         np.subtract(discrete.load, residual, out=residual)
         nodal = solved.reshape(discrete.n_nodes, discrete.dim)

@@ -78,7 +78,8 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
 
     Notes
     -----
-    A solve takes one thread; several run at the same time as a :class:`adaptmg.Study`.
+    A solve takes one thread, or those of :func:`adaptmg.set_threads`; several run at the same time as a
+    :class:`adaptmg.Study`.
 
     Examples
     --------

@@ -15,6 +15,7 @@ from scipy import sparse
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import kernel, one_blas_thread, read_only, seeded
+from adaptmg._threads import product
 
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
 
@@ -162,9 +163,9 @@ def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: spars
     """
     dim = matrix.blocksize[0]
     probe = np.random.default_rng(0).standard_normal((nodal.shape[1], dim))
-    product = nodal.T @ (matrix @ (nodal @ probe).reshape(-1)).reshape(-1, dim)
-    difference = product.reshape(-1) - coarse @ probe.reshape(-1)
-    return bool((np.abs(difference) <= tolerance * (abs(coarse) @ np.abs(probe).reshape(-1))).all())
+    difference = (nodal.T @ product(matrix, (nodal @ probe).reshape(-1)).reshape(-1, dim)).reshape(-1)
+    difference -= product(coarse, probe.reshape(-1))
+    return bool((np.abs(difference) <= tolerance * product(coarse, np.abs(probe).reshape(-1), abs)).all())
 
 
 def _prolongation(name: str, value: object) -> sparse.csr_array:

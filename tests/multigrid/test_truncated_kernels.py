@@ -35,7 +35,7 @@ def random_matrix(rng: np.random.Generator, dim: int, n: int = 9) -> sparse.bsr_
 def test_half_passes_are_gauss_seidel(dim):
     rng = np.random.default_rng(dim)
     matrix = random_matrix(rng, dim)
-    halves, zero = split(matrix, np.zeros(matrix.shape[0], dtype=bool)), ZERO[dim]
+    halves = split(matrix, np.zeros(matrix.shape[0], dtype=bool))
     l, u_, inverse = halves.lower_arrays, halves.upper_arrays, halves.inverse
     dense, n = matrix.toarray(), matrix.shape[0]
     blocks = np.kron(np.eye(n // dim), np.ones((dim, dim)))
@@ -47,23 +47,23 @@ def test_half_passes_are_gauss_seidel(dim):
     def close(found, expected):
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
-    kernels.forward_from_zero(zero, *l, inverse, f, u, kept)
+    halves.sweep(kernels.forward_from_zero, *l, inverse, f, u, kept)
     first = np.linalg.solve(L + D, f)
     close(u, first)
-    kernels.forward_residual(zero, *u_, u, result)
+    halves.sweep(kernels.forward_residual, *u_, u, result)
     close(result, f - dense @ u)
-    kernels.backward_change(zero, *u_, inverse, u, kept)
+    halves.sweep(kernels.backward_change, *u_, inverse, u, kept, backward=True)
     close(u, np.linalg.solve(U + D, f - L @ first))
-    kernels.residual(zero, *l, kept)
+    halves.sweep(kernels.residual, *l, kept, backward=True)
     close(kept, f - dense @ u)
     u = start.copy()
-    kernels.forward_full(zero, *l, *u_, inverse, f, u, kept)
+    halves.sweep(kernels.forward_full, *l, *u_, inverse, f, u, kept)
     first = np.linalg.solve(L + D, f - U @ start)
     close(u, first)
-    kernels.backward_kept(zero, *u_, inverse, u, kept)
+    halves.sweep(kernels.backward_kept, *u_, inverse, u, kept, backward=True)
     close(u, np.linalg.solve(U + D, f - L @ first))
     u = start.copy()
-    kernels.backward_full(zero, *l, *u_, inverse, f, u)
+    halves.sweep(kernels.backward_full, *l, *u_, inverse, f, u, backward=True)
     close(u, np.linalg.solve(U + D, f - L @ start))
     np.testing.assert_allclose(halves.matrix().toarray(), dense)
 
@@ -102,11 +102,11 @@ def parts(dim: int, law: str):
 
 
 def smooth(level, contact, load, u):
-    zero, residual = ZERO[level.dim], np.zeros_like(u)
-    projected_sweeps.backward(zero, *level.lower_arrays, level.inverse, load, contact.contact_of,
-                              *contact.node_data, u, residual)
-    projected_sweeps.forward(zero, *level.lower_arrays, level.inverse, contact.diagonal, contact.contact_of,
-                             *contact.node_data, u, residual)
+    residual = load.copy()
+    level.sweep(projected_sweeps.backward, *level.lower_arrays, level.inverse, contact.contact_of, *contact.node_data,
+                u, residual, backward=True)
+    level.sweep(projected_sweeps.forward, *level.lower_arrays, level.inverse, contact.diagonal, contact.contact_of,
+                *contact.node_data, u, residual)
     return residual
 
 
@@ -125,7 +125,7 @@ def test_projected_half_passes_are_the_smoother(dim, law):
                                    atol=1e-11)
         np.testing.assert_allclose(residual, load - level.matrix() @ u, atol=1e-11)
     other = np.random.default_rng(0).normal(size=u.shape) * ~problem.discrete.fixed
-    product = projected_sweeps.energy_product(ZERO[dim], *level.lower_arrays, level.inverse, other, u)
+    product = projected_sweeps.energy_product(0, level.n_nodes, ZERO[dim], *level.lower_arrays, level.inverse, other, u)
     assert product == pytest.approx((other - u) @ (level.matrix() @ (other - u)), rel=1e-10)
 
 
@@ -204,20 +204,21 @@ def test_transfers(dim):
     rng = np.random.default_rng(dim)
     P = sparse.random_array((12, 5), density=0.4, rng=rng, format="csr")
     Q = expand(P, dim)
-    r, coarse = rng.normal(size=12 * dim), np.empty(5 * dim)
-    assert kernels.restrict(ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
+    r, coarse = rng.normal(size=12 * dim), np.zeros(5 * dim)
+    assert kernels.restrict(0, 12, ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
     np.testing.assert_allclose(coarse, Q.T @ r)
     ring, alpha = Ring(12 * dim, 4), rng.normal(size=4)
     ring.vectors[:] = rng.normal(size=(5, 12 * dim))
     for _ in range(7):
         u, places = ring.now.copy(), ring.places(3)
         expected = u + Q @ coarse + sum(a * (v - u) for a, v in zip(alpha[:3], ring.past, strict=False))
-        kernels.combine(ZERO[dim], P.indptr, P.indices, P.data, coarse, ring.flat, places, alpha, ring.following)
+        kernels.combine(0, 12, ZERO[dim], P.indptr, P.indices, P.data, coarse, ring.flat, places, alpha,
+                        ring.following)
         ring.advance()
         np.testing.assert_allclose(ring.now, expected)
         np.testing.assert_array_equal(ring.past[0], u)
     expected = u + Q @ coarse
-    kernels.add_prolonged(ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
+    kernels.add_prolonged(0, 12, ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
     np.testing.assert_allclose(u, expected)
 
 

@@ -1,0 +1,138 @@
+"""Solves on several threads: strips of nodes and parts of rows."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from distributed import Client
+from scipy import sparse
+from uncompiled import uncompile
+
+import adaptmg as am
+from adaptmg import _threads as threads
+from adaptmg.mesh.structured import structured
+from adaptmg.multigrid import half_sweeps
+from adaptmg.multigrid.split_matrix import split
+from adaptmg.smoother import kernels
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    """Small matrices count as large; one thread afterwards."""
+    monkeypatch.setattr(threads, "LARGE", 2000)
+    yield
+    am.set_threads(1)
+
+
+def shuffled(dim: int, seed: int | None) -> sparse.bsr_array:
+    """The matrix of a structured mesh, its nodes shuffled unless ``seed`` is None."""
+    case, cells = (am.cases.greco_bar(), 20) if dim == 2 else (am.cases.greco_block(), 14)
+    matrix = am.discretise(case, structured(case.domain, cells)).matrix
+    if seed is None:
+        return matrix
+    order = np.random.default_rng(seed).permutation(matrix.shape[0] // dim)
+    dofs = (dim * order[:, None] + np.arange(dim)).reshape(-1)
+    return sparse.bsr_array(sparse.csr_array(matrix)[dofs][:, dofs], blocksize=(dim, dim)).sorted_indices()
+
+
+@pytest.mark.parametrize("seed", [None, 1], ids=["rows of nodes", "shuffled"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_strips_of_a_colour_have_no_common_neighbour(dim, seed):
+    matrix = shuffled(dim, seed)
+    strips = threads.Strips.of(matrix.indptr, matrix.indices, dim * dim)
+    assert len(strips.colours) == 2 and sum(map(len, strips.colours)) > threads.FEWEST
+    np.testing.assert_array_equal(strips.order[strips.rank], np.arange(len(strips.order)))
+    covered = [place for ranges in strips.colours for first, last in ranges for place in range(first, last)]
+    assert covered == list(range(len(strips.order)))
+    for ranges in strips.colours:
+        touched = [set(np.concatenate([matrix.indices[matrix.indptr[i]:matrix.indptr[i + 1]]
+                                       for i in strips.order[first:last]])) for first, last in ranges]
+        assert not any(a & b for a, b in combinations(touched, 2))
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("seed", [None, 1])
+def test_a_sweep_over_strips_is_gauss_seidel_in_their_order(seed, compiled, monkeypatch):
+    if not compiled:
+        uncompile(monkeypatch, half_sweeps, kernels)
+    am.set_threads(2)
+    matrix = shuffled(2, seed)
+    halves, f = split(matrix, np.zeros(matrix.shape[0], dtype=bool)), np.random.default_rng(0).normal(size=882)
+    dofs = (2 * halves.strips.order[:, None] + np.arange(2)).reshape(-1)
+    dense = matrix.toarray()[np.ix_(dofs, dofs)]
+    before = np.tril(np.kron(np.ones((441, 441)), np.ones((2, 2)))) + np.kron(np.eye(441), [[0, 1], [0, 0]])
+    u, kept = np.empty(882), np.empty(882)
+    halves.sweep(half_sweeps.forward_from_zero, *halves.lower_arrays, halves.inverse, f, u, kept)
+    expected = np.linalg.solve(dense * before, f[dofs])
+    np.testing.assert_allclose(u[dofs], expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+    halves.sweep(half_sweeps.backward_change, *halves.upper_arrays, halves.inverse, u, kept, backward=True)
+    halves.sweep(half_sweeps.residual, *halves.lower_arrays, kept, backward=True)
+    np.testing.assert_allclose(kept, f - matrix @ u, atol=1e-9 * np.abs(f).max())
+
+
+@pytest.mark.parametrize("case", ["plane", "solid", "independent", "two bodies"])
+def test_bits_do_not_depend_on_the_number_of_threads(case, monkeypatch):
+    grids = {"plane": lambda: am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16, 32)),
+             "solid": lambda: am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4, 8)),
+             "independent": lambda: am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3, 2.5e-3, 1.2e-3)),
+             "two bodies": lambda: am.Hierarchy.uniform(am.cases.two_block_patch(), divisions=(4, 8, 16))}[case]
+    results = []
+    for number in (1, 2, 3):
+        am.set_threads(number)
+        results.append(am.solve(grids()))
+    for other in results[1:]:
+        np.testing.assert_array_equal(other.displacement, results[0].displacement)
+        np.testing.assert_array_equal(other.history["residual"], results[0].history["residual"])
+        assert other.checked.energy_error == results[0].checked.energy_error
+    monkeypatch.setattr(threads, "LARGE", np.inf)
+    serial = am.solve(grids())
+    size = np.abs(serial.displacement).max()
+    np.testing.assert_allclose(results[0].displacement, serial.displacement, atol=1e-6 * size)
+    assert results[0].cycles <= serial.cycles + 1
+    assert (results[0].displacement != serial.displacement).any()
+
+
+def test_parts_cover_the_rows_and_pass_errors_on():
+    am.set_threads(3)
+    assert threads.sum_of_parts(lambda first, last: last - first, 12345, 10**6) == 12345
+    seen = np.zeros(999, dtype=int)
+
+    def mark(first: int, last: int) -> None:
+        seen[first:last] += 1
+        if last == 999:
+            raise ArithmeticError("the last part fails")
+
+    with pytest.raises(ArithmeticError, match="the last part fails"):
+        threads.in_parts(mark, 999, 10**6)
+    assert (seen == 1).all()
+    matrix, v = shuffled(3, None), np.random.default_rng(0).normal(size=10125)
+    np.testing.assert_array_equal(threads.product(matrix, v), matrix @ v)
+    np.testing.assert_array_equal(threads.product(matrix, v, abs), abs(matrix) @ v)
+
+
+def test_rows_that_scatter_at_the_same_time_share_no_column():
+    elements = structured(am.cases.greco_bar().domain, 40).elements
+    colours = threads.scattering(elements, size=10**6)
+    assert [len(ranges) for ranges in colours] == [8, 8]
+    for ranges in colours:
+        touched = [set(elements[slice(*each)].reshape(-1)) for each in ranges]
+        assert not any(a & b for a, b in combinations(touched, 2))
+    assert threads.scattering(elements) == [[(0, 3200)]]
+    mixed = np.random.default_rng(0).permutation(elements)
+    assert threads.scattering(mixed, size=10**6) == [[(0, 3200)]]
+
+
+@pytest.mark.parametrize(("number", "error"), [(0, ValueError), (-1, ValueError), (1.5, (TypeError, ValueError)),
+                                               ("2", TypeError), (True, TypeError), (None, TypeError)])
+def test_other_numbers_of_threads_are_refused(number, error):
+    with pytest.raises(error, match="threads must be"):
+        am.set_threads(number)
+
+
+def test_several_threads_are_refused_where_tasks_run_at_the_same_time():
+    with Client(processes=False, n_workers=1, threads_per_worker=2, dashboard_address=None) as client:
+        with pytest.raises(ValueError, match="threads must be 1 in a worker that runs 2 tasks at the same time, got 2"):
+            client.submit(am.set_threads, 2, pure=False).result()
+        client.submit(am.set_threads, 1, pure=False).result()
+    with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None) as client:
+        client.submit(am.set_threads, 2, pure=False).result()
