@@ -178,9 +178,18 @@ class MeshArrays:
     @cached_property
     def volumes(self) -> np.ndarray:
         """Signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
-        corners = self.points[self.elements]
-        edges = corners[:, 1:] - corners[:, :1]
-        return np.linalg.det(edges) / (2 if self.dim == 2 else 6)
+        return signed_measures(self.points, self.elements)
+
+
+def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
+    """Signed areas or volumes (n,) of some simplices."""
+    first, *rest = (points[nodes].T for nodes in elements.T)
+    edges = [corner - first for corner in rest]
+    if len(edges) == 2:
+        (a, b), (c, d) = edges
+        return 0.5 * (a * d - b * c)
+    (a, b, c), (d, e, f), (g, h, i) = edges
+    return (a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / 6
 
 
 def longest_edges(corners: np.ndarray) -> np.ndarray:
@@ -314,8 +323,7 @@ def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, fac
     if not np.isfinite(points).all():
         raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
     dim = points.shape[1]
-    corners = points[elements]
-    negative = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+    negative = signed_measures(points, elements) < 0
     elements = np.array(elements)
     elements[negative, -2:] = elements[negative, :-3:-1]
     number = np.full(len(points), -1, dtype=np.int64)
