@@ -179,24 +179,23 @@ class MeshArrays:
     @cached_property
     def volumes(self) -> np.ndarray:
         """Signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
-        result = np.empty(len(self.elements))
-        in_parts(_determinants, len(result), 8 * len(result), self.points, self.elements, result)
-        return result / (2 if self.dim == 2 else 6)
+        return np.concatenate(in_parts(_measures_of_part, len(self.elements), 8 * len(self.elements), self.points,
+                                       self.elements))
 
 
-@kernel
-def _determinants(first, last, points, elements, result):
-    """Determinants of the edges from the first corner of each element."""
-    for e in range(first, last):
-        a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
-        x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-        x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
-        result[e] = x1 * y2 - y1 * x2
-        if points.shape[1] == 3:
-            d = elements[e, 3]
-            z1, z2, z3 = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2], points[d, 2] - points[a, 2]
-            x3, y3 = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1]
-            result[e] = result[e] * z3 + (y1 * z2 - z1 * y2) * x3 + (z1 * x2 - x1 * z2) * y3
+def _measures_of_part(first: int, last: int, points: np.ndarray, elements: np.ndarray) -> np.ndarray:
+    return signed_measures(points, elements[first:last])
+
+
+def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
+    """Signed areas or volumes (n,) of some simplices."""
+    first, *rest = (points[nodes].T for nodes in elements.T)
+    edges = [corner - first for corner in rest]
+    if len(edges) == 2:
+        (a, b), (c, d) = edges
+        return 0.5 * (a * d - b * c)
+    (a, b, c), (d, e, f), (g, h, i) = edges
+    return (a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / 6
 
 
 def longest_edges(corners: np.ndarray) -> np.ndarray:
@@ -330,8 +329,7 @@ def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, fac
     if not np.isfinite(points).all():
         raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
     dim = points.shape[1]
-    corners = points[elements]
-    negative = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
+    negative = signed_measures(points, elements) < 0
     elements = np.array(elements)
     elements[negative, -2:] = elements[negative, :-3:-1]
     number = np.full(len(points), -1, dtype=np.int64)

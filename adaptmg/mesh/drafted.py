@@ -7,7 +7,7 @@ it is refined until almost no element has :math:`e > 1.25 w` (tetrahedra :math:`
 than 1.4 f (also where no element is too large: one facet of twice the length next to a re-entrant corner doubles the
 rate of multigrid), and no element at all is larger than :math:`\sqrt 2 w`. All elements are cut where half of them are
 far too large, else those that are too large are bisected once. In the end, and after passes that change much, swaps and
-moves make better shapes. Nodes on arcs are put onto them after each pass.
+moves make better shapes. New nodes on arcs and round faces are put onto them after each pass.
 
 None of these steps can make a hole or a fold out of a sound mesh as long as all measures stay positive: the draft alone
 is checked.
@@ -15,22 +15,23 @@ is checked.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, longest_edges, trusted
+from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,
     NODES_PER_CELL,
-    SizeField,
     equilateral_sizes,
     facet_elements,
-    finished,
     onto_outline,
     refuse_too_many,
     unreachable,
 )
+from adaptmg.mesh.surfaces import unless_flat
 from adaptmg.problem.plane_domains import Domain, Outline
 
 # elements and facets that are too large for the field, over it; by how much more most are before all are cut
@@ -38,19 +39,18 @@ _LARGE, _LONG, _FAR = {2: 1.25, 3: 2**0.5}, 1.4, 1.3
 # share of the elements (of the facets) that may stay too large, though by less than this
 _LEFT, _NEVER = 0.01, 2**0.5
 # share of the elements that is improved after a pass if so many were too large; rounds in the end
-_MANY, _ROUNDS = {2: 0.3, 3: 0.0}, 3
-# area or volume that a refined element must have, over its longest edge to the power of the dimension
-_FLAT = 1e-3
+_MANY, _ROUNDS = {2: 0.3, 3: 0.02}, 3
 # area or volume of the equilateral element of size 1
 _EQUILATERAL = {2: 3**0.5 / 4, 3: 2**0.5 / 12}
 
 
-def drafted(domain: Domain, draft: MeshArrays, field: SizeField) -> MeshArrays:
-    """Refine a sound draft of a plane domain or box to a size field, m. The boundaries of an outline are called by the
-    numbers of its edges in the draft, by their names in the result."""
+def drafted(domain: Domain, draft: MeshArrays, field: Callable[[MeshArrays], np.ndarray],
+            onto: Callable[[MeshArrays, int], MeshArrays] | None = None) -> MeshArrays:
+    """Refine a sound draft to the sizes at the nodes of a mesh. ``onto`` puts nodes from a number on onto the boundary;
+    this is called by the names that it has in the draft."""
     mesh, dim = draft, draft.dim
     for _ in range(dim * MAX_BISECTIONS):
-        at = field(mesh.points)
+        at, n_old = field(mesh), mesh.n_nodes
         elements = equilateral_sizes(mesh.points, mesh.elements) / at[mesh.elements].mean(axis=1)
         facets = equilateral_sizes(mesh.points, mesh.facets) / at[mesh.facets].mean(axis=1)
         large, long = elements > _LARGE[dim], facets > _LONG
@@ -65,21 +65,15 @@ def drafted(domain: Domain, draft: MeshArrays, field: SizeField) -> MeshArrays:
         else:
             large[facet_elements(mesh, mesh.facets[long])] = True
             mesh = refined(mesh, large, 1).mesh
-        if isinstance(domain, Outline):
-            mesh = onto_arcs(domain, mesh)
+        if onto is not None:
+            mesh = onto(mesh, n_old)
         if many:
             mesh = improved(mesh, 1)
     else:
         raise unreachable(domain, large)
-    return finished(domain, improved(mesh, _ROUNDS))
+    return improved(mesh, _ROUNDS)
 
 
 def onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     """A refined mesh with its boundary nodes on the outline; sound if none of its elements became flat."""
-    result = onto_outline(domain, mesh)
-    moved = (result.points != mesh.points).any(axis=1)
-    corners = result.points[mesh.elements[moved[mesh.elements].any(axis=1)]]
-    areas = 0.5 * np.linalg.det(corners[:, 1:] - corners[:, :1])
-    if not (areas > _FLAT * longest_edges(corners)**2).all():
-        raise ValueError("elements at an arc became flat")
-    return trusted(result, None, mesh.sound)
+    return unless_flat(mesh, onto_outline(domain, mesh).points)

@@ -25,7 +25,7 @@ from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.bisection.tables import as_initial
 from adaptmg.mesh.domains import check_domain, distance_to_boundaries, in_edges, plane_measures
-from adaptmg.mesh.drafted import drafted
+from adaptmg.mesh.drafted import drafted, onto_arcs
 from adaptmg.mesh.netgen_guard import NetgenUnfinished, netgen
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,
@@ -44,7 +44,7 @@ from adaptmg.mesh.netgen_plane import (
 from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
 from adaptmg.mesh.step import step_contents, step_mesh, step_shapes
 from adaptmg.mesh.structured import boundaries_of, merged, per_body
-from adaptmg.problem.plane_domains import Domain
+from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
 SizeFunction = float | Callable[[np.ndarray], np.ndarray]
@@ -88,7 +88,8 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         How often Netgen meshes again by the size field (for ratios above 1; not of solids).
     mesher : {"bisection", "netgen"}
         What makes small elements: bisection of a coarse mesh by Netgen and improvement of shapes, which take a
-        tenth of the time, or Netgen alone. Solids other than boxes are left to Netgen.
+        tenth of the time, or Netgen alone. Solids with faces other than planes, cylinders, cones, spheres and tori are
+        left to Netgen.
 
     Returns
     -------
@@ -112,7 +113,8 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     domain = in_edges(domain)
     names = checks.items("contact_boundaries", contact_boundaries, str, "names of boundaries")
     if isinstance(domain, StepFile):
-        return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), growth(grading))
+        return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), growth(grading),
+                         mesher=checks.choice("mesher", mesher, MESHERS))
     for name in names:
         if name not in domain.boundaries:
             raise ValueError(f"contact_boundaries: boundary {name!r} does not exist; "
@@ -160,7 +162,7 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
     """See :func:`graded`; one body, checked arguments."""
     near = size / ratio
     if isinstance(domain, SolidDomain):
-        return solid_mesh(domain, size, dict.fromkeys(names, near), grading)
+        return solid_mesh(domain, size, dict.fromkeys(names, near), grading, mesher=mesher)
     # before Netgen works for minutes on a mesh that bisection would then find too large
     nodes = refuse_too_many(guessed_nodes(domain, size, dict.fromkeys(names, near) if ratio > 1 else {}, grading),
                             domain)
@@ -196,7 +198,8 @@ def _made(domain: Domain, nodes: float, draft: Callable[[float], MeshArrays], fi
             try:
                 coarse = draft(factor)
                 if factor == 1 or _shape(coarse) > _SHAPES[domain.dim]:
-                    return drafted(domain, coarse, field)
+                    onto = (lambda mesh, _: onto_arcs(domain, mesh)) if isinstance(domain, Outline) else None
+                    return finished(domain, drafted(domain, coarse, lambda mesh: field(mesh.points), onto))
             except NetgenUnfinished:
                 raise
             except ValueError:
@@ -248,7 +251,8 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     check_domain(domain)
     domain = in_edges(domain)
     if isinstance(domain, StepFile):
-        return step_mesh(domain, max_size, None, growth(grading), size_function)
+        return step_mesh(domain, max_size, None, growth(grading), size_function,
+                         mesher=checks.choice("mesher", mesher, MESHERS))
     if isinstance(domain, Assembly):
         fields, limits = (per_body(what, value, domain.bodies)
                           for what, value in (("size_function", size_function), ("max_size", max_size)))
@@ -258,7 +262,7 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     rounds, mesher = checks.integer("rounds", rounds, 1), checks.choice("mesher", mesher, MESHERS)
     grading = growth(grading)
     if isinstance(domain, SolidDomain):
-        return solid_mesh(domain, max_size, None, grading, size_function)
+        return solid_mesh(domain, max_size, None, grading, size_function, mesher=mesher)
 
     def wanted(x: np.ndarray) -> np.ndarray:
         return np.minimum(sizes_at(size_function, x), max_size)

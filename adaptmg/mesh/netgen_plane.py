@@ -109,7 +109,7 @@ def one_mesh(domain: Domain, lower: np.ndarray, scale: float, sides: Mapping[str
     """One call of Netgen on the scaled domain: the mesh in m, checked for its area or volume only."""
     try:
         with netgen() as worker:
-            unit = normalised(*worker("mesh_plane_or_box", domain, lower, scale, sides, options, sizes, 0,
+            unit = normalised(*worker("mesh_plane_or_box", domain, lower, scale, sides, options, sizes,
                                       seconds=meshing_limit(nodes, domain.dim)))
     except ValueError as error:
         raise netgen_error(domain, error) from error

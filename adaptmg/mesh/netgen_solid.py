@@ -4,8 +4,9 @@ The edge length asked for, with a bulk size H, a size function s, sizes :math:`h
 
 .. math:: h(x) = \min\bigl(H,\; s(x),\; \min_b (h_b + g\,\mathrm{dist}(x, b))\bigr).
 
-Netgen is asked for it down to H/16; what is finer is bisected, with new nodes put onto the curved
-surfaces. Netgen also keeps edges on curved faces below their radius over ``curvature``.
+Where all faces lie on planes, cylinders, cones, spheres and tori, Netgen makes a draft of larger sizes, which is
+refined (:mod:`adaptmg.mesh.drafted`). Otherwise Netgen is asked for the sizes down to H/16; what is finer it bisects.
+New nodes are put onto the faces. Netgen also keeps edges on curved faces below their radius over ``curvature``.
 
 Elements are straight: all nodes of curved faces lie on them, chords do not. The volume of the mesh therefore differs
 from OCC's by :math:`O(h^2)`; it is compared with the bound :math:`\sum_F \tfrac12 A_F h_F \theta_F` over the boundary
@@ -15,6 +16,7 @@ a half of it).
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,8 +25,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, facet_table, normalised, swept
+from adaptmg.mesh.arrays import MeshArrays, facet_table, normalised, swept, trusted
 from adaptmg.mesh.domains import extent, require_simple
+from adaptmg.mesh.drafted import drafted
 from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, meshing_limit, netgen
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,
@@ -37,7 +40,8 @@ from adaptmg.mesh.netgen_plane import (
     too_large,
     unreachable,
 )
-from adaptmg.mesh.soundness import check_mesh, with_source
+from adaptmg.mesh.soundness import check_mesh, quality, with_source
+from adaptmg.mesh.surfaces import Misplaced, Surface, candidates, onto_surfaces, surfaces_of
 from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import (
     Ball,
@@ -50,6 +54,8 @@ from adaptmg.problem.solid_domains import (
     outline_of,
 )
 
+_LOG = logging.getLogger(__name__)
+
 CURVATURE = 2.0
 """On curved faces edges are at most their radius of curvature over this, about."""
 _NETGEN_RATIO = 16.0
@@ -57,6 +63,11 @@ _NETGEN_RATIO = 16.0
 # (which only makes the mesh finer) often helps
 _MAX_GRADING = 0.6
 _ATTEMPTS = (1.0, 0.7, 0.5)
+#: how many times larger than wanted the elements of a draft may be (not powers of two, which would refine levels whose
+#: sizes are halved from one draft), and nodes that it has at least
+_FACTORS, _LEAST = (4.0, 1.8), 30
+# smallest angle of a draft, degrees: elements whose nodes all lie on the boundary keep theirs
+_MIN_ANGLE = 12.0
 _ENDLESS = 1e90
 # of the largest coordinate: what scaling to unit size and back may move a node by
 _FLAT = 1e-9
@@ -83,6 +94,13 @@ class SolidSizes:
                  for name, h in (self.boundaries or {}).items()}
         object.__setattr__(self, "boundaries", sizes)
 
+    def drafts(self, factor: float, slower: float) -> SolidSizes:
+        """The sizes of a draft, ``factor`` times as large."""
+        function = self.function
+        return replace(self, size=factor * self.size, grading=slower * min(factor * self.grading, _MAX_GRADING),
+                       boundaries={name: factor * h for name, h in self.boundaries.items()},
+                       function=None if function is None else lambda x: factor * sizes_at(function, x))
+
     def field(self, points: np.ndarray, mesh: MeshArrays, groups: Mapping[str, list[str]], floor: float = 0.0
               ) -> np.ndarray:
         """Edge lengths (n,) at points (n, 3)."""
@@ -92,7 +110,9 @@ class SolidSizes:
         for name, h in self.boundaries.items():
             facets = np.concatenate([mesh.boundary_facets(part) for part in groups[name]])
             places = np.concatenate([mesh.points[np.unique(facets)], mesh.points[facets].mean(axis=1)])
-            result = np.minimum(result, _raised(h, floor) + self.grading * cKDTree(places).query(points)[0])
+            h = _raised(h, floor)
+            reach = max(self.size - h, 0.0) / self.grading
+            result = np.minimum(result, h + self.grading * cKDTree(places).query(points, distance_upper_bound=reach)[0])
         return result
 
 
@@ -103,7 +123,7 @@ def _raised(size: float, floor: float) -> float:
 
 def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[str, float] | None = None,
                grading: float = 0.3, size_function: float | Callable[[np.ndarray], np.ndarray] | None = None, *,
-               curvature: float = CURVATURE) -> MeshArrays:
+               curvature: float = CURVATURE, mesher: str = "bisection") -> MeshArrays:
     """Mesh a solid with straight tetrahedra.
 
     Parameters
@@ -121,6 +141,8 @@ def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[s
         dip much narrower than the elements around it can be missed.
     curvature : float
         On curved faces edges are at most their radius of curvature over this, about, whatever ``size`` says.
+    mesher : {"bisection", "netgen"}
+        As of :func:`adaptmg.mesh.graded`.
 
     Returns
     -------
@@ -150,7 +172,7 @@ def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[s
                              f"the boundaries are {', '.join(domain.boundaries)}")
     curved = refuse_too_many(curved_nodes(domain, sizes.size, sizes.curvature), domain)
     with netgen() as worker:
-        return ordered(domain, shape_mesh(worker, built_shape(worker, domain), sizes, domain, curved))
+        return ordered(domain, shape_mesh(worker, built_shape(worker, domain), sizes, domain, curved, mesher))
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +183,7 @@ class Shape:
     areas: list[float]
     volume: float
     corners: np.ndarray  # (2, 3): of its bounding box
+    samples: Sequence[np.ndarray]  # of each face: patches of points and normals on its surface (2, n, 6)
     lower: np.ndarray  # m: where its origin lies
     scale: float  # m: its unit of length
 
@@ -203,28 +226,39 @@ def curved_nodes(domain: Domain, size: float, curvature: float) -> float:
     return 0.5 * 1.15 * area / h**2 if h < size else 0.0
 
 
-def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, curved: float = 0.0) -> MeshArrays:
+def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, curved: float = 0.0,
+               mesher: str = "bisection") -> MeshArrays:
     """Mesh the solid that a process holds; ``curved`` nodes are expected on its round faces."""
-    groups: dict[str, list[str]] = {name: [] for name in sizes.boundaries}
+    groups = {name: [str(i) for i, face in enumerate(shape.names) if face == name] for name in sizes.boundaries}
     # cut off where powers of it would overflow
     cells = shape.volume * min(shape.scale / sizes.size, _ENDLESS) ** 3
-    face_sizes = {}
-    for i, (name, area) in enumerate(zip(shape.names, shape.areas, strict=True)):
-        if name in groups:
-            groups[name].append(str(i))
-            h = sizes.boundaries[name]
-            face_sizes[i] = _raised(h, sizes.size / _NETGEN_RATIO) / shape.scale
-            cells += area * min(shape.scale / h, _ENDLESS) ** 2 / (2 * sizes.grading)
     for name, parts in groups.items():
         if not parts:
             raise ValueError(f"boundary_sizes: of boundary {name!r} no face is left on {domain!r}")
-    nodes = refuse_too_many(1.4 * cells, domain) + curved
+        area = sum(shape.areas[int(i)] for i in parts)
+        cells += area * min(shape.scale / sizes.boundaries[name], _ENDLESS) ** 2 / (2 * sizes.grading)
+    nodes = refuse_too_many(1.4 * cells, domain)
+    known = candidates(shape.samples) if mesher == "bisection" else None
+    if mesher == "bisection" and known is None:
+        _LOG.info("Netgen makes all elements of %r, which has faces other than planes, cylinders, cones, spheres and "
+                  "tori", domain)
+    drafts = [(factor, 1.0) for factor in _FACTORS if known is not None and nodes > _LEAST * factor**3]
     why: Exception | None = None
-    for factor in _ATTEMPTS:
-        slower = replace(sizes, grading=factor * min(sizes.grading, _MAX_GRADING))
+    for factor, slower in (*drafts, *((1.0, slower) for slower in _ATTEMPTS)):
         try:
-            unit = _netgen_mesh(worker, shape, slower, groups, face_sizes, domain, nodes)
-            unit = _bisected(worker, unit, shape, sizes, groups, domain)
+            wanted = sizes.drafts(factor, slower)
+            unit = _netgen_mesh(worker, shape, wanted, groups, domain, nodes / factor**3 + curved)
+            if factor > 1 and quality(unit).min_angle < _MIN_ANGLE:
+                continue
+            try:
+                unit = (_bisected(worker, unit, shape, sizes, groups, domain) if known is None else
+                        _refined(unit, shape, sizes, groups, domain, known))
+            except Misplaced as error:
+                _LOG.info("a draft of %r with sizes times %g is not refined: %s", domain, factor, error)
+                why = error
+                if factor > 1:
+                    continue
+                unit = _bisected(worker, unit, shape, sizes, groups, domain)
             check_volume(unit, shape.volume)
             return in_metres(unit, shape)
         except NetgenFails as error:
@@ -235,9 +269,9 @@ def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
 
 
 def shape_tables(worker: Netgen, face_sizes: Mapping[int, float], options: Mapping[str, float], sizes: SizesAt,
-                 nodes: float, refinements: int = 0) -> MeshArrays:
+                 nodes: float) -> MeshArrays:
     """Netgen's mesh of the solid that a process holds; NetgenFails if it is not sound."""
-    return _sound(worker("mesh_shape", face_sizes, options, sizes, refinements, seconds=meshing_limit(nodes, 3)))
+    return _sound(worker("mesh_shape", face_sizes, options, sizes, seconds=meshing_limit(nodes, 3)))
 
 
 def _sound(tables: Sequence) -> MeshArrays:
@@ -247,10 +281,12 @@ def _sound(tables: Sequence) -> MeshArrays:
         raise NetgenFails(str(error)) from error
 
 
-def _netgen_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, groups: dict[str, list[str]],
-                 face_sizes: Mapping[int, float], domain: Domain, nodes: float) -> MeshArrays:
+def _netgen_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, groups: dict[str, list[str]], domain: Domain,
+                 nodes: float) -> MeshArrays:
     """Netgen's mesh at unit size; again by the sizes on the mesh before where these vary."""
     lower, scale, floor = shape.lower, shape.scale, sizes.size / _NETGEN_RATIO
+    face_sizes = {int(i): _raised(sizes.boundaries[name], floor) / scale for name, parts in groups.items()
+                  for i in parts}
     options = {"maxh": sizes.size / scale, "grading": sizes.grading, "curvaturesafety": sizes.curvature}
     rounds = 2 if sizes.function is not None else 1 if groups else 0
     at: SizesAt = []
@@ -266,6 +302,18 @@ def _netgen_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, groups: dict[s
             small = wanted < sizes.size
             at = [((centroids[small] - lower) / scale, wanted[small] / scale)]
     return unit
+
+
+def _refined(draft: MeshArrays, shape: Shape, sizes: SolidSizes, groups: dict[str, list[str]], domain: Domain,
+             known: list[list[Surface]]) -> MeshArrays:
+    """The draft at unit size, refined to the sizes."""
+    surfaces = surfaces_of(known, draft)
+
+    def field(unit: MeshArrays) -> np.ndarray:
+        mesh = _placed(unit, shape)
+        return sizes.field(mesh.points, mesh, groups) / shape.scale
+
+    return drafted(domain, draft, field, lambda mesh, n_old: onto_surfaces(surfaces, mesh, n_old))
 
 
 def _bisected(worker: Netgen, unit: MeshArrays, shape: Shape, sizes: SolidSizes, groups: dict[str, list[str]],
@@ -286,7 +334,7 @@ def _bisected(worker: Netgen, unit: MeshArrays, shape: Shape, sizes: SolidSizes,
 
 def _placed(unit: MeshArrays, shape: Shape) -> MeshArrays:
     """The mesh in m, without source."""
-    return replace(unit, points=shape.lower + shape.scale * unit.points, source=None)
+    return trusted(replace(unit, points=shape.lower + shape.scale * unit.points, source=None), None, unit.sound)
 
 
 def in_metres(unit: MeshArrays, shape: Shape) -> MeshArrays:
@@ -294,7 +342,9 @@ def in_metres(unit: MeshArrays, shape: Shape) -> MeshArrays:
     mesh = _in_planes(_placed(unit, shape))
     order = tuple(dict.fromkeys(shape.names))
     faces = np.array([order.index(shape.names[int(face)]) for face in mesh.boundaries])
-    return replace(mesh, facet_labels=faces[mesh.facet_labels], boundaries=order, bodies=("body",))
+    # neither names nor rounding makes a sound mesh unsound
+    return trusted(replace(mesh, facet_labels=faces[mesh.facet_labels], boundaries=order, bodies=("body",)), None,
+                   mesh.sound)
 
 
 def _in_planes(mesh: MeshArrays) -> MeshArrays:
@@ -306,14 +356,14 @@ def _in_planes(mesh: MeshArrays) -> MeshArrays:
         nodes = mesh.boundary_nodes(face)
         for axis in np.flatnonzero(np.ptp(points[nodes], axis=0) < _FLAT * reach):
             points[nodes, axis] = round(float(np.median(points[nodes, axis])), digits) + 0.0
-    return replace(mesh, points=points)
+    return trusted(replace(mesh, points=points), None, mesh.sound)
 
 
 def ordered(domain: SolidDomain | Box, mesh: MeshArrays) -> MeshArrays:
     """The checked mesh with its boundaries in the order of the domain, with source."""
     order = tuple(name for name in domain.boundaries if name in mesh.boundaries)
     labels = np.array([order.index(name) for name in mesh.boundaries])[mesh.facet_labels]
-    return with_source(swept(replace(mesh, facet_labels=labels, boundaries=order)))
+    return with_source(swept(trusted(replace(mesh, facet_labels=labels, boundaries=order), None, mesh.sound)))
 
 
 def check_volume(mesh: MeshArrays, volume: float) -> None:

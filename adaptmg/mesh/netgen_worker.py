@@ -51,6 +51,8 @@ _NO_LIMIT = 1e99
 _VOLUME_TOLERANCE = 1e-6
 # nodes of an element by Gmsh's number of its type
 _WIDTHS = {15: 1, 1: 2, 8: 3, 2: 3, 9: 6, 4: 4, 11: 10}
+# parameters of samples of surfaces: angles of those that are turned
+_ACROSS, _ALONG = (0.1, 0.5, 0.9, 1.3, 1.7), (0.01, 0.04, 0.07, 0.1, 0.13)
 _SIDES = ("left", "right", "front", "back", "bottom", "top")
 
 
@@ -106,28 +108,23 @@ def _indices(what: str, index: np.ndarray, size: int) -> np.ndarray:
 
 
 def mesh_plane_or_box(domain: Rectangle | Polygon | Outline | Box, lower: np.ndarray, scale: float,
-                      sides: Mapping[str, float], options: Mapping[str, float], sizes: Sizes, refinements: int
-                      ) -> Tables:
+                      sides: Mapping[str, float], options: Mapping[str, float], sizes: Sizes) -> Tables:
     """Mesh a domain moved by ``-lower`` and divided by ``scale``; see :func:`_generated`."""
     geometry = (_box_geometry if isinstance(domain, Box) else _spline_geometry)(domain, lower, scale, sides)
-    return _generated(geometry, options, sizes, refinements)
+    return _generated(geometry, options, sizes)
 
 
-def mesh_shape(face_sizes: Mapping[int, float], options: Mapping[str, float], sizes: Sizes, refinements: int
-               ) -> Tables:
+def mesh_shape(face_sizes: Mapping[int, float], options: Mapping[str, float], sizes: Sizes) -> Tables:
     """Mesh the shape of the last request; its faces are called by their numbers."""
     for i, face in enumerate(_Held.shape.faces):
         face.name = str(i)
         if i in face_sizes:
             face.maxh = face_sizes[i]
-    return _generated(OCCGeometry(_Held.shape), options, sizes, refinements)
+    return _generated(OCCGeometry(_Held.shape), options, sizes)
 
 
-def _generated(geometry: SplineGeometry | OCCGeometry, options: Mapping[str, float], sizes: Sizes, refinements: int
-               ) -> Tables:
-    """Netgen's mesh by sizes at points, every element then cut in four (3D: eight) some times. The tetrahedra inside
-    those that are cut are flat (mean quality .83 of 1 where Netgen's have .88): swapping faces and moving nodes once
-    brings them to .89, at a tenth of the cost of Netgen's own mesh of that size."""
+def _generated(geometry: SplineGeometry | OCCGeometry, options: Mapping[str, float], sizes: Sizes) -> Tables:
+    """Netgen's mesh by sizes at points."""
     # Netgen's threads spend more time waiting than the work takes: 3 to 30 times slower
     parameters = netgen.meshing.MeshingParameters(**options, parallel_meshing=False)
     for points, lengths in sizes:
@@ -136,10 +133,6 @@ def _generated(geometry: SplineGeometry | OCCGeometry, options: Mapping[str, flo
         for x, y, z, h in zip(*columns, lengths.tolist(), strict=True):
             parameters.RestrictH(x, y, z, h)
     mesh = geometry.GenerateMesh(mp=parameters)
-    for _ in range(refinements):
-        mesh.Refine()
-    if refinements and mesh.dim == 3:
-        mesh.OptimizeVolumeMesh(netgen.meshing.MeshingParameters(optimize3d="sm", optsteps3d=1, parallel_meshing=False))
     _Held.mesh = mesh
     return tables(mesh)
 
@@ -196,12 +189,12 @@ def _spline_geometry(domain: Rectangle | Polygon | Outline, lower: np.ndarray, s
     return geometry
 
 
-ShapeTables = tuple[list[str], list[float], float, np.ndarray]
+ShapeTables = tuple[list[str], list[float], float, np.ndarray, list[np.ndarray]]
 
 
 def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> ShapeTables:
-    """OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces, volume, bounding box. OCC
-    compares lengths with absolute tolerances of 1e-7: everything is built near unit size."""
+    """OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces, volume, bounding box,
+    samples of its surfaces. OCC compares lengths with absolute tolerances of 1e-7: all is built near unit size."""
     shape = _shape(domain, origin, scale)
     if len(shape.solids) != 1:
         what = "nothing" if len(shape.solids) == 0 else f"{len(shape.solids)} pieces"
@@ -235,7 +228,18 @@ def _hold(solid: Solid) -> ShapeTables:
     _Held.shape = solid
     faces = list(solid.faces)
     return ([face.name for face in faces], [face.mass for face in faces], solid.mass,
-            np.array([_place(p) for p in solid.bounding_box]))
+            np.array([_place(p) for p in solid.bounding_box]), [_samples(face) for face in faces])
+
+
+def _samples(face: Face) -> np.ndarray:
+    """Points and normals (2, n, 6) on two patches of the surface of a face, one on either side of an apex."""
+    found = np.array([[[_place(x) for x in face.surf.D1(u, sign * v)] for u in _ACROSS for v in _ALONG]
+                      for sign in (1.0, -1.0)])
+    normals = np.cross(found[:, :, 1], found[:, :, 2])
+    with np.errstate(invalid="ignore"):
+        # nan where there is none
+        normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    return np.concatenate([found[:, :, 0], normals], axis=2)
 
 
 def _shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> TopoDS_Shape:
@@ -277,7 +281,7 @@ def _shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> TopoD
     raise TypeError(f"domain must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), got {domain!r}")
 
 
-def _place(p: Pnt) -> tuple[float, float, float]:
+def _place(p: Pnt | Vec) -> tuple[float, float, float]:
     return p.x, p.y, p.z
 
 

@@ -6,9 +6,9 @@ refinement of a mesh of twice the sizes, every element cut in four (3D: eight) w
 still: a k-fold refinement asks Netgen for :math:`2^k h` and so for :math:`2^{-kd}` of the nodes. Sizes must then grow
 :math:`2^k` times more slowly.
 
-Most of Netgen's time goes into better shapes. Of plane domains and boxes this is done here, in arrays
-(:mod:`adaptmg.mesh`), of a draft and again of what is made of it: a fiftieth of the time for shapes
-as good or better. Other solids, whose new nodes must go onto faces that OCC knows, are left to Netgen.
+Most of Netgen's time goes into better shapes. This is done here, in arrays (:mod:`adaptmg.mesh.improve`), of a draft
+and again of what is made of it: a fiftieth of the time for shapes as good or better. Solids with faces other than
+planes, cylinders, cones, spheres and tori are left to Netgen.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from adaptmg.mesh.netgen_solid import CURVATURE, Shape, built_shape, check_volum
 from adaptmg.mesh.soundness import check_mesh, with_source
 from adaptmg.mesh.step import step_contents, step_shapes
 from adaptmg.mesh.structured import merged, per_body
+from adaptmg.mesh.surfaces import candidates, onto_surfaces, surfaces_of
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
@@ -138,9 +139,16 @@ def _step(domain: StepFile, sizes: PointSizes | Mapping[str, PointSizes], gradin
 
 
 def _shape(worker: Netgen, shape: Shape, sizes: PointSizes, grading: float, refinements: int) -> MeshArrays:
-    """A mesh of the solid that a process holds."""
+    """A mesh of the solid that a process holds: Netgen's draft, refined in arrays where its faces are known."""
+    known = candidates(shape.samples) if refinements else None
+    if known is None:
+        grading, refinements = grading / 2**refinements, 0
     options, at = sizes.for_netgen(shape.lower, shape.scale, grading, refinements, draft=False)
     options["curvaturesafety"] = CURVATURE / 2 ** (refinements / 2)
-    unit = shape_tables(worker, {}, options, at, MAX_NODES[3], refinements)
+    unit = shape_tables(worker, {}, options, at, MAX_NODES[3])
+    if known is not None:
+        surfaces = surfaces_of(known, unit)
+        for _ in range(refinements):
+            unit = improved(onto_surfaces(surfaces, halved(unit), unit.n_nodes), _ROUNDS_AFTER[3])
     check_volume(unit, shape.volume)
     return in_metres(unit, shape)

@@ -55,8 +55,8 @@ def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float]
 
 
 def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, grading: float = 0.3,
-              size_function: float | Callable[[np.ndarray], np.ndarray] | None = None, *, curvature: float = 2.0
-              ) -> MeshArrays:
+              size_function: float | Callable[[np.ndarray], np.ndarray] | None = None, *, curvature: float = 2.0,
+              mesher: str = "bisection") -> MeshArrays:
     """Mesh the solids of a STEP file with straight tetrahedra, each solid apart."""
     if not isinstance(domain, StepFile):
         raise TypeError(f"domain must be a StepFile, got {domain!r}")
@@ -71,7 +71,7 @@ def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float]
         for body, shape in step_shapes(worker, domain, contents):
             own = {face: boundary_sizes[f"{body}.{face}"] for face in boundaries_of(body, list(boundary_sizes or {}))}
             sizes = SolidSizes(largest[body], own, grading, size_function, curvature)
-            meshes[body] = with_source(swept(shape_mesh(worker, shape, sizes, domain, _CURVED)))
+            meshes[body] = with_source(swept(shape_mesh(worker, shape, sizes, domain, _CURVED, mesher)))
     return merged(meshes)
 
 

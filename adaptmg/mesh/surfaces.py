@@ -1,0 +1,182 @@
+r"""The surfaces that faces of solids lie on, as far as they are of revolution, and new nodes put onto them.
+
+A plane, cylinder, cone, sphere or torus is a straight line or a circle of a half plane (r, z), turned about an axis. It
+is found from points and normals that OCC gives. All normals of such a surface meet its axis: with the moment
+:math:`p \times n` of a normal n at p, the direction a of the axis and :math:`m = o \times a` of a point o on it,
+
+.. math:: (p \times n) \cdot a + n \cdot m = 0 .
+
+A node halfway along an edge of the mesh lies on one face or on two. From the gaps f to their surfaces and the gradients
+J of these it moves by :math:`-J^+ f`, again and again: on one surface that is exact, on a crossing it is Newton's
+method, and where two surfaces touch each step still halves the distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adaptmg.mesh.arrays import MeshArrays, longest_edges, signed_measures, trusted
+
+# of solids of unit size: by how much points may miss the surface through them; nodes of a draft theirs
+_EXACT, _NEAR = 1e-9, 1e-6
+# nodes end this near to their surfaces; steps at most; surfaces with this cosine between their normals are one
+_ON, _STEPS, _SAME = 1e-14, 60, 1e-10
+# area or volume that a refined element must have, over its longest edge to the power of the dimension
+_FLAT = 1e-3
+
+
+class Misplaced(ValueError):
+    """Nodes of a refined mesh cannot be put onto its boundary."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A line or circle turned about an axis."""
+
+    origin: np.ndarray  # (3,): on the axis
+    axis: np.ndarray  # (3,): of length 1
+    profile: np.ndarray  # (2,): the normal of the line, or the centre of the circle
+    extent: float  # distance of the line from the origin, or the radius of the circle
+    straight: bool
+
+    def gaps(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distances (n,) of points from the surface, and their gradients (n, 3)."""
+        offset = points - self.origin
+        z = offset @ self.axis
+        away = offset - z[:, None] * self.axis
+        r = np.linalg.norm(away, axis=1)
+        outward = away / np.where(r > 0, r, 1.0)[:, None]
+        if self.straight:
+            normals = np.broadcast_to(self.profile, (len(points), 2))
+            gaps = normals[:, 0] * r + normals[:, 1] * z - self.extent
+        else:
+            spoke = np.column_stack([r, z]) - self.profile
+            length = np.linalg.norm(spoke, axis=1)
+            normals, gaps = spoke / np.where(length > 0, length, 1.0)[:, None], length - self.extent
+        return gaps, normals[:, :1] * outward + normals[:, 1:] * self.axis
+
+
+def surface_through(points: np.ndarray, normals: np.ndarray) -> Surface | None:
+    """The surface with some points (n, 3) and unit normals there, None if it is of none of the five kinds."""
+    if not (np.isfinite(points).all() and np.isfinite(normals).all()):
+        return None
+    centre = points.mean(axis=0)
+    own = points - centre
+    found = next((s for kind in (_plane, _sphere, _cylinder, _turned) if (s := kind(own, normals)) is not None), None)
+    return None if found is None else replace(found, origin=found.origin + centre)
+
+
+def _checked(surface: Surface, points: np.ndarray) -> Surface | None:
+    return surface if np.abs(surface.gaps(points)[0]).max() <= _EXACT else None
+
+
+def _plane(points: np.ndarray, normals: np.ndarray) -> Surface | None:
+    return _checked(Surface(np.zeros(3), normals[0], np.array([0.0, 1.0]), 0.0, True), points)
+
+
+def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre and signed radius of the circle or sphere with the normals: points = centre + radius * normals."""
+    spread = normals - normals.mean(axis=0)
+    radius = float((spread * (points - points.mean(axis=0))).sum() / max(np.square(spread).sum(), 1e-300))
+    return (points - radius * normals).mean(axis=0), radius
+
+
+def _sphere(points: np.ndarray, normals: np.ndarray) -> Surface | None:
+    centre, radius = _round(points, normals)
+    return _checked(Surface(centre, np.array([0.0, 0.0, 1.0]), np.zeros(2), abs(radius), False), points)
+
+
+def _cylinder(points: np.ndarray, normals: np.ndarray) -> Surface | None:
+    axis = np.linalg.svd(normals)[2][-1]
+    if np.abs(normals @ axis).max() > _EXACT:
+        return None
+    centre, radius = _round(points - np.outer(points @ axis, axis), normals)
+    return _checked(Surface(centre, axis, np.array([1.0, 0.0]), abs(radius), True), points)
+
+
+def _turned(points: np.ndarray, normals: np.ndarray) -> Surface | None:
+    *_, complexes = np.linalg.svd(np.hstack([np.cross(points, normals), normals]))
+    axis, moment = complexes[-1, :3], complexes[-1, 3:]
+    length = np.linalg.norm(axis)
+    if length < _EXACT:
+        return None
+    axis, moment = axis / length, moment / length
+    origin = np.cross(axis, moment)
+    z = (points - origin) @ axis
+    away = points - origin - np.outer(z, axis)
+    r = np.linalg.norm(away, axis=1)
+    plane = np.column_stack([r, z])
+    slopes = np.column_stack([(normals * away).sum(axis=1) / np.where(r > 0, r, 1.0), normals @ axis])
+    if np.ptp(slopes, axis=0).max() <= _EXACT:
+        return _checked(Surface(origin, axis, slopes[0], float((plane @ slopes[0]).mean()), True), points)
+    centre, radius = _round(plane, slopes)
+    return _checked(Surface(origin, axis, centre, abs(radius), False), points)
+
+
+def candidates(samples: Sequence[np.ndarray]) -> list[list[Surface]] | None:
+    """The surfaces that each face may lie on, by patches of points and normals (n, 6); None where a face has none."""
+    found = [[s for patch in patches if (s := surface_through(patch[:, :3], patch[:, 3:])) is not None]
+             for patches in samples]
+    return found if all(found) else None
+
+
+def surfaces_of(candidates: Sequence[Sequence[Surface]], mesh: MeshArrays) -> list[Surface]:
+    """The surface of each boundary of a mesh (called by the numbers of faces) that all its nodes lie on."""
+    found = []
+    for label, face in enumerate(mesh.boundaries):
+        nodes = mesh.points[np.unique(mesh.facets[mesh.facet_labels == label])]
+        for surface in candidates[int(face)]:
+            if np.abs(surface.gaps(nodes)[0]).max(initial=0.0) <= _NEAR:
+                found.append(surface)
+                break
+        else:
+            raise Misplaced(f"nodes of face {face} do not lie on its surface")
+    return found
+
+
+def onto_surfaces(surfaces: Sequence[Surface], mesh: MeshArrays, n_old: int) -> MeshArrays:
+    """A sound refined mesh with its boundary nodes from ``n_old`` on put onto the surfaces of their boundaries; sound
+    if none of its elements became flat. Misplaced otherwise, or where nodes do not reach their surfaces."""
+    row, corner = np.nonzero(mesh.facets >= n_old)
+    if not len(row):
+        return mesh
+    pairs = np.unique(mesh.facets[row, corner].astype(np.int64) * len(surfaces) + mesh.facet_labels[row])
+    nodes, first, count = np.unique(pairs // len(surfaces), return_index=True, return_counts=True)
+    labels = (pairs % len(surfaces))[np.stack([first, first + count - 1])]
+    places = mesh.points[nodes]
+    rest = np.arange(len(nodes))
+    for _ in range(_STEPS):
+        gaps, gradients = np.empty((2, len(rest))), np.empty((2, len(rest), 3))
+        for side in (0, 1):
+            for label in np.unique(labels[side, rest]):
+                mine = labels[side, rest] == label
+                gaps[side, mine], gradients[side, mine] = surfaces[label].gaps(places[rest[mine]])
+        far = np.abs(gaps).max(axis=0) > _ON
+        if not far.any():
+            break
+        rest, gaps, gradients = rest[far], gaps[:, far], gradients[:, far]
+        # the pseudoinverse by the sum and the difference of both gradients
+        steps = np.zeros((len(rest), 3))
+        for sign in (1.0, -1.0):
+            direction = gradients[0] + sign * gradients[1]
+            square = np.square(direction).sum(axis=1)
+            apart = square > _SAME
+            steps[apart] += ((gaps[0] + sign * gaps[1]) / np.where(apart, square, 1.0))[apart, None] * direction[apart]
+        places[rest] -= steps
+    else:
+        raise Misplaced(f"{len(rest)} nodes do not reach the surfaces of their faces")
+    points = mesh.points.copy()
+    points[nodes] = places
+    return unless_flat(mesh, points)
+
+
+def unless_flat(mesh: MeshArrays, points: np.ndarray) -> MeshArrays:
+    """The sound mesh with other points; Misplaced if one of the elements around those that moved became flat."""
+    moved = (points != mesh.points).any(axis=1)
+    near = mesh.elements[moved[mesh.elements].any(axis=1)]
+    if not (signed_measures(points, near) > _FLAT * longest_edges(points[near])**mesh.dim).all():
+        raise Misplaced("elements at a curved boundary became flat")
+    return trusted(replace(mesh, points=points, source=None), None, mesh.sound)
