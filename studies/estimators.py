@@ -75,8 +75,8 @@ def study(out: Output) -> None:
                       "most cycles": rows["cycles"].max()})
     table = pd.DataFrame(lines)
     out.table("effectivity", table, "Estimate over true error in adaptive loops, the first mesh left out",
-              "Rate: exponent s of error ~ nodes^-s; in the long run at best 1/2 in the plane, 1/3 in 3D. Cycles: of the "
-              "default method on a mesh, started from the mesh before.", units={"energy error": "%"},
+              "Rate: exponent s of error ~ nodes^-s; in the long run at best 1/2 in the plane, 1/3 in 3D. Cycles: of "
+              "the default method on a mesh, started from the mesh before.", units={"energy error": "%"},
               formats={name: ".2f" for name in table.columns[3:9]})
     goals = unfolded(am.Study(goal, {"case": ["upset block"] if out.quick else list(GOALS)}, out.store, name="goals",
                               fixed={"most": 600 if out.quick else 4000}).run(throw=True), ["case"])
