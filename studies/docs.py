@@ -1,7 +1,6 @@
 """Build the documentation: HTML pages that open offline, search and formulas included.
 
     python studies/docs.py [--out DIR]
-    python studies/docs.py --readme        only write the measured numbers of data/measured/readme.csv into README.md
 
 Sources: docstrings of adaptmg, pages in studies/docs, tutorials in studies/tutorials (scripts, run while building),
 tables in data/measured (written by studies). Needs the packages of ``pip install -e ".[docs]"``.
@@ -47,11 +46,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
                                      epilog="example: python studies/docs.py --out /tmp/docs")
     parser.add_argument("--out", type=Path, default=Path("results/docs"), metavar="DIR", help="default: results/docs")
-    parser.add_argument("--readme", action="store_true", help="only write the measured numbers into README.md")
     arguments = parser.parse_args()
-    if arguments.readme:
-        write_readme()
-        return 0
     out = arguments.out.resolve()
     shutil.rmtree(out, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
@@ -146,16 +141,6 @@ def measured_page(folder: Path) -> str:
         page += f"\n{title}\n{'-' * len(title)}\n\n" + "\n".join(notes) + "\n"
         page += _table(list(frame.columns), frame.to_numpy().tolist())
     return page
-
-
-def write_readme() -> None:
-    """Put the table of data/measured/readme.csv below its mark in README.md."""
-    readme, mark = ROOT / "README.md", "<!-- data/measured/readme.csv -->\n"
-    frame = pd.read_csv(ROOT / "data" / "measured" / "readme.csv", dtype=str, keep_default_na=False)
-    before, _, after = readme.read_text(encoding="utf-8").partition(mark)
-    rows = [frame.columns, ["---"] * frame.shape[1], *frame.to_numpy()]
-    table = "".join("| " + " | ".join(row) + " |\n" for row in rows)
-    readme.write_text(before + mark + "\n" + table + "\n" + after[after.index("## "):], encoding="utf-8")
 
 
 def _title(text: str) -> str:

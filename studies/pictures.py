@@ -8,7 +8,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 from adaptive_vs_uniform import ENGINES, solutions
-from common import small_png, write_bytes
+from common import make_folder, small_png, write_bytes
 from matplotlib.figure import Figure
 
 import adaptmg as am
@@ -71,6 +71,7 @@ if __name__ == "__main__":
     arguments = parser.parse_args()
     if unknown := sorted(set(arguments.pictures) - set(PICTURES)):
         parser.error(f"unknown picture {', '.join(unknown)}; there are {', '.join(PICTURES)}")
+    make_folder("--out", arguments.out)
     for name in arguments.pictures or PICTURES:
         write_bytes(arguments.out / f"{name}.png", small_png(PICTURES[name](), 90))
         print(arguments.out / f"{name}.png")

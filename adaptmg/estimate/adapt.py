@@ -59,15 +59,16 @@ def adapt(problem: ContactProblem,
     problem : ContactProblem
     start : float, MeshArrays, ngsolve.Mesh, path of a mesh file or Hierarchy, optional
         The first mesh, or its element size in m. Of a hierarchy, which is not changed, the finest mesh. Default: an
-        eighth of the square root of the mean area of the bodies (3D: of the cube root of the mean volume), in the plane
-        with at least three elements along each contact boundary.
+        eighth of the square root of the mean area of the bodies (3D: a quarter of the cube root of the mean volume), in
+        the plane with at least three elements along each contact boundary.
     indicator : Residual, Recovery, Goal or an object with ``indicate(hierarchy, result) -> Estimate``, optional
         Default ``Residual()``.
     mark : Doerfler, Maximum or an object with ``mark(estimate) -> mask of elements``, optional
         Default ``Doerfler(0.5)``.
     engine : Remesh, Bisect or an object with ``refine(problem, mesh, estimate, marked, max_nodes=None)``, optional
         See :class:`adaptmg.estimate.step.Engine`. Default ``Remesh()``, for a :class:`adaptmg.Goal`
-        ``Remesh(refinements=0)``, and ``Bisect()`` for a problem without a domain.
+        ``Remesh(refinements=0)``, and ``Bisect()`` for a problem without a domain, which in 3D is several times
+        quicker.
     tolerance : float, optional
         Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity, and :attr:`Step.settled`).
     max_nodes : int, optional
@@ -154,7 +155,7 @@ def _check(parts: Parts) -> None:
 #: nodes of a loop without limits
 _NODES = 20_000
 #: sizes of the first mesh over the extent of a body by default, and elements along a contact boundary at least
-_ACROSS, _ALONG = 8, 3
+_ACROSS, _ALONG = {2: 8, 3: 4}, 3
 #: a size is refused before it is meshed if the expected nodes, which are good to 15 %, exceed a limit by this factor
 _SURELY = 1.5
 #: seconds in which Netgen makes the largest meshes; shorter limits than the least one say nothing about a first mesh
@@ -200,7 +201,7 @@ def _of_size(problem: ContactProblem, start: float | None, transfer: Transfer | 
     volumes, lengths = measures(problem.domain)
     dim, ratio = problem.dim, 1.0
     if size is None:
-        size = float(f"{(sum(volumes) / len(volumes)) ** (1 / dim) / _ACROSS:.2g}")
+        size = float(f"{(sum(volumes) / len(volumes)) ** (1 / dim) / _ACROSS[dim]:.2g}")
         shortest = min((lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf)
         ratio = max(ratio, _ALONG * size / shortest)
     in_time = math.inf if limits.max_seconds is None else MAX_NODES[dim] / _SECONDS * max(limits.max_seconds, _LEAST)

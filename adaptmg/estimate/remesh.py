@@ -57,7 +57,8 @@ class Remesh:
     growth : float
         Nodes of the next mesh over those of this one, > 1; at most 2 where elements with a third of the sum of squares
         are to become smaller than .3 of their size. The last two meshes before ``max_nodes`` grow alike, by less or up
-        to a fifth (in the exponent) more.
+        to a fifth (in the exponent) more. Seconds to an error, 3.2 over 2.5: .65 to .96 on five cases, 1.07 on a
+        sixth (bolted junction); rates are the same.
     finest, coarsest : float
         Bounds of new over old size, 0 < ``finest`` < 1 <= ``coarsest``. At strong singularities sizes have to fall by
         4 and more from mesh to mesh; the loop then puts a level between. Measured true errors at equal nodes, .1 over
@@ -73,7 +74,7 @@ class Remesh:
     2.0
     """
 
-    growth: float = 2.5
+    growth: float = 3.2
     finest: float = 0.1
     coarsest: float = 1.5
     refinements: int = 1

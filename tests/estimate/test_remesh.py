@@ -101,7 +101,7 @@ def test_solids(domain, refinements):
     mesh, engine = graded(domain, 6e-3), am.Remesh(refinements=refinements)
     for _ in range(2):
         before, mesh = mesh, check_mesh(engine.refine(problem, mesh, singular(mesh, domain.lower)), domain.boundaries)
-    assert mesh.n_nodes == pytest.approx(2.5 * before.n_nodes, rel=0.25)
+    assert mesh.n_nodes == pytest.approx(engine.growth * before.n_nodes, rel=0.25)
     assert quality(mesh).min_angle > 8
     if isinstance(domain, am.Cut):
         hole = [name for name in mesh.boundaries if "side" in name]
