@@ -13,7 +13,6 @@ from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import structured
 
 
-
 class TestPatch:
     @DIMS
     @pytest.mark.parametrize("pairs", [(a, b) for a in (("upper.bottom", "middle.top"), ("middle.top", "upper.bottom"))
