@@ -3,9 +3,9 @@
 import math
 from dataclasses import replace
 
-import meshio
 import numpy as np
 import pytest
+from gmsh_file import write
 from matplotlib.patches import PathPatch
 from refused import refused
 
@@ -114,15 +114,10 @@ def test_a_hole_in_tension_has_the_stress_of_kirsch():
 
 
 def test_a_gmsh_file_with_names_is_solved_and_drawn_without_a_domain(tmp_path):
-    mesh = graded(PLATE, 0.6)
-    names = {name: np.array([k + 1, 1]) for k, name in enumerate(mesh.boundaries)} | {"plate": np.array([9, 2])}
-    tags = [mesh.facet_labels + 1, np.full(len(mesh.elements), 9)]
-    meshio.write(tmp_path / "plate.msh", meshio.Mesh(
-        np.pad(mesh.points, ((0, 0), (0, 1))), [("line", mesh.facets), ("triangle", mesh.elements)], field_data=names,
-        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags}), "gmsh22")
+    path = write(tmp_path / "plate.msh", replace(graded(PLATE, 0.6), bodies=("plate",), source=None))
     problem = replace(POSED, domain=None, material={"plate": POSED.material}, loads=am.Pressure("top", 5e7), supports=(
         am.Symmetry("left"), am.Spring("hole", normal=1e9), am.PointSpring((0, 2), y=1e9)))
-    grids = am.Hierarchy.from_meshes(problem, [tmp_path / "plate.msh"])
+    grids = am.Hierarchy.from_meshes(problem, [path])
     assert am.solve(grids, am.ActiveSet()).resultant("contact").force[1] > 0
     legend = am.plot.problem(problem, mesh=grids.finest.mesh).axes[0].get_legend()
     assert [text.get_text() for text in legend.get_texts()][:3] == [
