@@ -3,20 +3,10 @@
 from dataclasses import replace
 from functools import cache
 
+import bodies
 import numpy as np
 import pytest
-from bodies import (
-    LOWER_ON_UPPER,
-    STIFF,
-    UPPER_ON_LOWER,
-    assert_state,
-    bar_hierarchy,
-    bar_on_block,
-    bumpy,
-    pressed,
-    stacked,
-    uniaxial,
-)
+from bodies import LOWER_ON_UPPER, STIFF, UPPER_ON_LOWER
 from norms import distance
 
 import adaptmg as am
@@ -68,7 +58,7 @@ def grids(case: str, law: str) -> am.Hierarchy:
         return am.Hierarchy.graded(bar(given), sizes=(16e-3, 8e-3, 4e-3), contact_ratio=3)
     if case in ("pair", "exchanged"):
         pair = UPPER_ON_LOWER if case == "pair" else LOWER_ON_UPPER
-        return bar_hierarchy(bar_on_block(given, pair, gap=bumpy), 2)
+        return bodies.bar_hierarchy(bodies.bar_on_block(given, pair, gap=bodies.bumpy), 2)
     posed = {"bar": (bar, (4, 8, 16)), "wavy": (lambda law: bar(law, am.GapFunction(wavy)), (4, 8, 16)),
              "block": (block, (2, 4)), "round": (round_bar, (4, 8, 16)),
              "moved": (moved, ((8, 4), (16, 8))), "curved": (curved, (4, 8, 16))}
@@ -184,8 +174,8 @@ def test_the_patch_test_is_exact(method):
 @pytest.mark.parametrize("method", ["single", "monotone", "truncated nested", "sparse"])
 @pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(0.4), am.Tresca(1e7)], ids=LAWS)
 def test_a_stack_of_bodies_is_exact(law, method):
-    mesh = stacked([(3, 2), (4, 3)])
-    problem = pressed(mesh, [("upper.bottom", "lower.top")], (STIFF, STIFF), law)
-    grids = am.Hierarchy.from_meshes(problem, [mesh, stacked([(6, 4), (8, 6)])])
+    mesh = bodies.stacked([(3, 2), (4, 3)])
+    problem = bodies.pressed(mesh, [("upper.bottom", "lower.top")], (STIFF, STIFF), law)
+    grids = am.Hierarchy.from_meshes(problem, [mesh, bodies.stacked([(6, 4), (8, 6)])])
     result = am.solve(grids, replace(METHODS[method], rtol=1e-12))
-    assert_state(result, uniaxial(result.mesh, (STIFF, STIFF)))
+    bodies.assert_state(result, bodies.uniaxial(result.mesh, (STIFF, STIFF)))

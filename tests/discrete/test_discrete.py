@@ -1,9 +1,16 @@
-"""DiscreteProblem and ContactNodes refuse what no solver could make sense of."""
+"""DiscreteProblem, ContactNodes and relative coordinates: what they make of arrays, inverses, duals, refusals."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from refused import refused
 from scipy import sparse
 
+import adaptmg as am
+from adaptmg.discrete.coordinates import Coupling, frames_of, from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem, rigid_body_modes
 from adaptmg.problem import Coulomb, Frictionless, Tresca
 
@@ -91,3 +98,155 @@ def test_rigid_body_modes_are_orthonormal_and_strain_free(dim):
     for mode in modes.T:
         u = mode.reshape(-1, dim)
         np.testing.assert_allclose(np.sum((u[i] - u[j]) * (points[i] - points[j]), axis=1), 0.0, atol=1e-13)
+
+
+# -- relative coordinates: against dense algebra -----------------------------------------------------------------------
+
+SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
+
+
+def chained(rng, links=2, n=4, bodies=None):
+    """Weights of ``links`` + 1 groups of n nodes: most nodes of a group follow nodes of the next, some are negative."""
+    bodies = links + 1 if bodies is None else bodies
+    weights = np.zeros((bodies * n, bodies * n))
+    for k in range(links):
+        for i in range(n - 1):
+            chosen = (k + 1) * n + rng.choice(n, size=rng.integers(1, n), replace=False)
+            row = rng.normal(size=len(chosen))
+            row += (1 - row.sum()) / len(row)
+            weights[k * n + i, chosen] = row
+    order = rng.permutation(len(weights))
+    return sparse.csr_array(weights[order][:, order])
+
+
+def dense(coupling):
+    """T (n_dofs, n_dofs), from its definition (I - Pi W)^-1."""
+    W = np.kron(coupling.weights.toarray(), np.eye(coupling.dim)) * ~coupling.fixed[:, None]
+    return np.linalg.inv(np.eye(len(W)) - W)
+
+
+def made(seed, links=2, dim=2, share=0.2):
+    rng = np.random.default_rng(seed)
+    weights = chained(rng, links)
+    return Coupling(weights, rng.random(dim * weights.shape[0]) < share), rng
+
+
+class TestTransformation:
+    @given(seed=SEEDS, links=st.integers(1, 4), dim=st.sampled_from([2, 3]))
+    @settings(max_examples=40, deadline=None)
+    def test_physical_and_relative(self, seed, links, dim):
+        coupling, rng = made(seed, links, dim)
+        T = dense(coupling)
+        assert coupling.dim == dim
+        for shape in ((len(T),), (len(T), 3)):
+            w, f = rng.normal(size=(2, *shape))
+            size = np.abs(T).max()
+            np.testing.assert_allclose(coupling.physical(w), T @ w, atol=1e-12 * size**2)
+            np.testing.assert_allclose(coupling.relative(coupling.physical(w)), w, atol=1e-12 * size**2)
+            np.testing.assert_allclose(coupling.physical(coupling.relative(w)), w, atol=1e-12 * size**2)
+            np.testing.assert_allclose(coupling.relative_forces(f), T.T @ f, atol=1e-12 * size**2)
+            np.testing.assert_allclose(coupling.physical_forces(coupling.relative_forces(f)), f, atol=1e-12 * size**2)
+        # work does not depend on the coordinates
+        assert coupling.relative_forces(f).ravel() @ w.ravel() == pytest.approx(
+            f.ravel() @ coupling.physical(w).ravel(), abs=1e-10 * size**2)
+        np.testing.assert_allclose(coupling.upward.toarray(),
+                                   np.linalg.inv(np.eye(len(T) // dim) - coupling.weights.toarray()),
+                                   atol=1e-12 * np.abs(coupling.upward).max() ** 2)
+
+    @given(seed=SEEDS, links=st.integers(1, 3), dim=st.sampled_from([2, 3]))
+    @settings(max_examples=30, deadline=None)
+    def test_transformed(self, seed, links, dim):
+        coupling, rng = made(seed, links, dim)
+        n = len(coupling.fixed)
+        blocks = np.kron(rng.random((n // dim, n // dim)) < 0.3, np.ones((dim, dim)))
+        A = rng.normal(size=(n, n)) * blocks
+        A = A + A.T + 10 * np.eye(n)
+        T = dense(coupling)
+        result = coupling.transformed(sparse.bsr_array(A, blocksize=(dim, dim)))
+        assert result.blocksize == (dim, dim) and result.has_sorted_indices
+        expected = T.T @ A @ T
+        np.testing.assert_allclose(result.toarray(), expected, atol=1e-13 * np.abs(expected).max() * n)
+        np.testing.assert_array_equal(result.toarray(), result.toarray().T)
+        indices = [tuple(pair) for pair in zip(np.repeat(np.arange(n // dim), np.diff(result.indptr)), result.indices,
+                                               strict=True)]
+        assert len(set(indices)) == len(indices)
+
+    @given(seed=SEEDS)
+    @settings(max_examples=30, deadline=None)
+    def test_prolongation(self, seed):
+        rng = np.random.default_rng(seed)
+        fine, coarse = (Coupling(chained(rng, 2, n), np.zeros(2 * 3 * n, dtype=bool)) for n in (6, 3))
+        P = sparse.csr_array(rng.random((18, 9)) * (rng.random((18, 9)) < 0.5))
+        relative = fine.prolongation(P, coarse)
+        expected = np.linalg.inv(dense(fine))[::2, ::2] @ P.toarray() @ dense(coarse)[::2, ::2]
+        np.testing.assert_allclose(relative.toarray(), expected, atol=1e-11 * max(1, np.abs(expected).max()))
+        assert relative.has_sorted_indices and (relative.data != 0).all()
+        # the same field, whichever way one goes
+        w = rng.normal(size=9)
+        one = fine.physical(np.repeat(relative @ w, 2))
+        other = np.repeat(P @ coarse.physical(np.repeat(w, 2))[::2], 2)
+        np.testing.assert_allclose(one, other, atol=1e-10 * max(1, np.abs(other).max()))
+
+
+class TestCoupled:
+    def springs(self):
+        """Two chains of three nodes; node 3 (slave) faces nodes 1 and 2."""
+        link = np.array([[1.0, -1.0], [-1.0, 1.0]])
+        chain = np.zeros((6, 6))
+        for i, j in ((0, 1), (1, 2), (3, 4), (4, 5)):
+            chain[np.ix_([i, j], [i, j])] += link
+        weights = sparse.csr_array(([0.5, 0.5], ([3, 3], [1, 2])), shape=(6, 6))
+        fixed = np.zeros(12, dtype=bool)
+        fixed[:2] = True
+        return {"matrix": sparse.csr_array(np.kron(chain, np.eye(2))), "load": np.arange(12.0), "fixed": fixed,
+                "law": am.Frictionless(), "weights": weights,
+                "contact": am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("other",))}
+
+    def test_rigid_motions_are_those_of_displacements(self):
+        points = np.array([[0, 0], [0, 1], [1, 1], [0.3, 1], [0, 2], [1, 2.0]])
+        problem = am.DiscreteProblem.coupled(**self.springs(), coordinates=points)
+        turn = np.column_stack([-points[:, 1], points[:, 0]]).ravel()
+        fields = np.column_stack([problem.physical(mode).ravel() for mode in problem.near_nullspace.T])
+        assert np.linalg.lstsq(fields, turn, rcond=None)[1] == pytest.approx(0, abs=1e-20)
+
+    def test_a_fixed_component_of_a_slave_along_the_surface_is_allowed(self):
+        parts = self.springs()
+        parts["fixed"][6] = True
+        assert not am.DiscreteProblem.coupled(**parts).coupling.physical(np.eye(12))[6, 2:6].any()
+
+    def other_coupling(self):
+        problem = am.DiscreteProblem.coupled(**self.springs())
+        return replace(problem, fixed=np.zeros(12, dtype=bool))
+
+    test_refused = staticmethod(refused(
+        (lambda: TestCoupled().other_coupling(), r"other fixed dofs: use DiscreteProblem.coupled"),
+        (lambda: am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("a", "b")),
+         "masters must go with names"),
+        (lambda: am.DiscreteProblem.coupled(**TestCoupled().springs() | {"fixed": np.arange(12) == 7}),
+         r"normal part is fixed at contact node 0 \(node 3.*free the component"),
+        *((lambda value=value: am.DiscreteProblem.coupled(**TestCoupled().springs() | {
+            "weights": sparse.csr_array(([value], ([3], [1])), shape=(6, 6))}), message)
+          for value, message in ((0.9, r"sum 1, got 0.9 at node 3"), (np.nan, "weights must be finite"))),
+        *((lambda rows=rows, columns=columns, n=n: Coupling(
+            sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)), np.zeros(2 * n, dtype=bool)),
+           r"circle.*exchange slave and master")
+          for rows, columns, n in (([0, 1, 2], [1, 2, 0], 4), ([0], [0], 3), ([0, 1], [1, 0], 2)))))
+
+    def test_every_system_of_unknowns_there_and_back(self):
+        values = np.where(np.arange(12) < 2, 0.3, 0.0)
+        problem = am.DiscreteProblem.coupled(**self.springs(), fixed_values=values)
+        w, f = np.random.default_rng(1).normal(size=(2, 12))
+        w[:2] = 0.3
+        np.testing.assert_allclose(problem.physical_forces(problem.relative_forces(f)), f, atol=1e-14)
+        assert problem.relative_forces(f) @ w == pytest.approx(f @ problem.physical(w).ravel())
+        change = problem.from_prescribed(w)
+        assert not change[:2].any() and not problem.from_prescribed(w + 1)[:2].any()
+        np.testing.assert_allclose(problem.with_prescribed(change), w)
+        residual = problem.load - problem.matrix @ w
+        np.testing.assert_allclose((problem.load_from_prescribed() - problem.matrix @ change)[2:], residual[2:])
+        assert not problem.load_from_prescribed()[:2].any()
+        frames = frames_of(problem.contact, problem.fixed.reshape(6, 2))
+        local = rotate(change, frames, problem.contact.nodes)
+        np.testing.assert_allclose(local.reshape(6, 2)[3], to_frames(frames, change.reshape(6, 2)[[3]])[0])
+        np.testing.assert_allclose(rotate_back(local, frames, problem.contact.nodes), change)
+        np.testing.assert_allclose(from_frames(frames, local.reshape(6, 2)[[3]])[0], change.reshape(6, 2)[3])

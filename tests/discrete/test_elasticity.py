@@ -14,17 +14,7 @@ from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import hoop_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh import MeshArrays, structured
-from adaptmg.problem import (
-    BodyForce,
-    Box,
-    PlaneStrain,
-    PlaneStress,
-    Pressure,
-    Rectangle,
-    Solid,
-    Support,
-    Traction,
-)
+from adaptmg.problem import BodyForce, Box, PlaneStrain, PlaneStress, Pressure, Rectangle, Solid, Support, Traction
 from adaptmg.problem.loads import InitialStrain
 from adaptmg.problem.materials import Axisymmetric
 

@@ -5,11 +5,11 @@ import importlib.util
 import json
 import re
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
-import meshio
-import numpy as np
 import pytest
+from gmsh_file import write
 from matplotlib.figure import Figure
 
 import adaptmg as am
@@ -73,15 +73,7 @@ def given(tmp_path):
     problem = am.cases.greco_bar()
     meshes = [am.mesh.structured(problem.domain, n) for n in (16, 32)]
     fine = am.discretise(problem, meshes[1])
-    edges = [(name, meshes[1].boundary_facets(name)) for name in meshes[1].boundaries]
-    tags = [np.full(len(facets), number) for number, (_, facets) in enumerate(edges, 1)]
-    body = len(edges) + 1
-    kinds = np.concatenate([*tags]), np.full(len(meshes[1].elements), body)
-    names = {name: np.array([number, 1]) for number, (name, _) in enumerate(edges, 1)} | {"bar": np.array([body, 2])}
-    cells = [("line", np.concatenate([facets for _, facets in edges])), ("triangle", meshes[1].elements)]
-    meshio.write_points_cells(
-        tmp_path / "bar.msh", np.pad(meshes[1].points, ((0, 0), (0, 1))), cells, file_format="gmsh22", binary=False,
-        cell_data={"gmsh:physical": list(kinds), "gmsh:geometrical": list(kinds)}, field_data=names)
+    write(tmp_path / "bar.msh", replace(meshes[1], bodies=("bar",), source=None))
     contact = fine.contact
     return {"problem": problem, "coarse": meshes[0], "A": fine.matrix, "b": fine.load, "fixed": fine.fixed,
             "x": fine.coordinates, "i": contact.nodes, "n": contact.normals, "g": contact.gaps}

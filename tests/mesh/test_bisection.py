@@ -3,19 +3,10 @@
 import pickle
 from dataclasses import replace
 
+import bisected_meshes
 import numpy as np
 import pytest
-from bisected_meshes import (
-    SQUARE,
-    as_sets,
-    containing_elements,
-    crooked,
-    cube,
-    random_mask,
-    shape_classes,
-    single,
-    verified,
-)
+from bisected_meshes import SQUARE, as_sets, crooked, cube, random_mask, verified
 from uncompiled import uncompile
 
 from adaptmg.mesh import MeshArrays, bisect, check_mesh, coarsen, quality, refine_near, structured
@@ -26,7 +17,14 @@ from adaptmg.mesh.bisection.refine import bisected, refined
 from adaptmg.mesh.bisection.tables import cells_of, history_arrays, nodes_of, tree_of, with_history
 from adaptmg.problem import Rectangle
 
-MESHES = {"2D": SQUARE, "2D crooked": crooked(SQUARE), "3D": cube(), "3D crooked": crooked(cube(2))}
+
+def split(mesh):
+    """The mesh with two bodies that are glued."""
+    return check_mesh(replace(mesh, bodies=("west", "east"), source=None,
+                              element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 0.5))
+
+
+MESHES = {"2D": SQUARE, "2D crooked": split(crooked(SQUARE)), "3D": cube(), "3D crooked": split(crooked(cube(2)))}
 EACH = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 SIDES = {"left": (0, 0), "right": (0, 1), "bottom": (-1, 0), "top": (-1, 1)}
 
@@ -44,7 +42,7 @@ def test_random_marks_again_and_again_stay_conforming(mesh, passes):
         mesh, parents = bisect(mesh, marked, passes)
         verified(mesh)
         np.testing.assert_array_equal(mesh.points, mesh.points[parents].mean(axis=1))
-        assert mesh.volumes.sum() == pytest.approx(1, rel=1e-12)
+        np.testing.assert_allclose(*(np.bincount(m.element_body, m.volumes) for m in (mesh, before)), rtol=1e-12)
         for name, (axis, value) in SIDES.items():
             assert (mesh.points[mesh.boundary_nodes(name), axis] == value).all()
         # those of one old facet lie one after another, in the order of the old ones
@@ -52,7 +50,7 @@ def test_random_marks_again_and_again_stay_conforming(mesh, passes):
         refinement = mesh.refinement
         assert mesh.n_nodes > before.n_nodes and len(refinement.tree) > 0
         assert len(refinement.parents) == mesh.n_nodes and refinement.generation.max() < 100
-        if mesh.n_nodes > 20_000:
+        if mesh.n_nodes > 6_000:
             break
     assert k >= 2 and before.refinement is not None and replace(mesh, source=None).refinement is None
     for one in (mesh, pickle.loads(pickle.dumps(mesh))):
@@ -61,19 +59,19 @@ def test_random_marks_again_and_again_stay_conforming(mesh, passes):
 
 @pytest.mark.parametrize("tip", [[0.3, 0.6], [0.02, 0.1]])
 def test_a_triangle_has_at_most_four_shapes(tip):
-    mesh = single([[0, 0], [1, 0], tip])
+    mesh = bisected_meshes.single([[0, 0], [1, 0], tip])
     for _ in range(5):
         mesh, _ = bisect(mesh, everything(mesh))
-    assert len(mesh.elements) == 4**5 and shape_classes(mesh) <= 4
+    assert len(mesh.elements) == 4**5 and bisected_meshes.shape_classes(mesh) <= 4
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_tetrahedron_has_a_bounded_number_of_shapes(seed):
-    mesh = single(np.random.default_rng(seed).random((4, 3)))
+    mesh = bisected_meshes.single(np.random.default_rng(seed).random((4, 3)))
     classes, worst = [], []
     for _ in range(12):
         mesh, _ = bisect(mesh, everything(mesh), passes=1)
-        classes.append(shape_classes(mesh))
+        classes.append(bisected_meshes.shape_classes(mesh))
         worst.append(quality(mesh).aspect_ratio)
     assert len(mesh.elements) >= 2**12
     # none is new after eight bisections: Arnold, Mukherjee and Pouly, theorem 3.2 with its remark
@@ -159,7 +157,7 @@ def test_refine_near_reaches_strong_grading_without_bad_angles():
     # the work goes to the boundary: nodes double with every level, uniform refinement would make four times as many
     assert meshes[-1].n_nodes < 2.05 * meshes[-2].n_nodes
     assert quality(meshes[-1]).min_angle > 20
-    assert containing_elements(meshes[1], meshes[2]).min() >= 0
+    assert bisected_meshes.containing_elements(meshes[1], meshes[2]).min() >= 0
     assert [len(m.boundary_facets("bottom")) for m in refine_near(cube(2), ["bottom", "left"], 2)] == [8, 32, 128]
     with pytest.raises(ValueError, match="boundary 'bottm' does not exist"):
         refine_near(FINE_SQUARE, "bottm")

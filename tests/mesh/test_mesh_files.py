@@ -9,6 +9,7 @@ import meshio
 import ngsolve
 import numpy as np
 import pytest
+from gmsh_file import write
 from netgen.csg import unit_cube
 from netgen.geom2d import SplineGeometry
 from netgen_text import VOL
@@ -21,33 +22,6 @@ import mesh_files
 
 MESHES = {"2D": structured(Rectangle(width=1, height=2), 3), "3D": structured(Box(width=1, depth=2, height=3), 2)}
 BOTH = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
-
-
-def write(path, mesh, *, version="gmsh22", groups=True, keep=slice(None), lift=0.0, binary=False):
-    """Write a mesh with a stray point in front, bodies 'body', elements turned, as Gmsh would."""
-    points = np.zeros((mesh.n_nodes + 1, 3))
-    points[1:, :mesh.dim] = mesh.points
-    points[:, 2] += lift
-    names = {2: ("triangle", "line"), 3: ("tetra", "triangle")}[mesh.dim]
-    elements = mesh.elements[:, [1, 0, *range(2, mesh.dim + 1)]] + 1
-    cells, physical, entity = [(names[0], elements)], [np.full(len(elements), 100)], [np.full(len(elements), 1)]
-    for i in range(len(mesh.boundaries))[keep]:
-        facets = mesh.boundary_facets(mesh.boundaries[i]) + 1
-        cells.append((names[1], facets))
-        physical.append(np.full(len(facets), 10 + i))
-        entity.append(np.full(len(facets), 1 + i))
-    field = {"body": np.array([100, mesh.dim])}
-    field |= {name: np.array([10 + i, mesh.dim - 1]) for i, name in enumerate(mesh.boundaries)}
-    # MSH 4.1 finds the groups through the entities its nodes lie on: every entity must have one
-    tags = np.full((len(points), 2), [mesh.dim, 1])
-    for block, number in zip(cells[1:], entity[1:], strict=True):
-        for node in np.unique(block[1]):
-            tags[node] = [mesh.dim - 1, number[0]]
-    data = {"gmsh:physical": physical if groups else [0 * p for p in physical], "gmsh:geometrical": entity}
-    out = meshio.Mesh(points, cells, cell_data=data, field_data=field if groups else {},
-                      point_data={"gmsh:dim_tags": tags} if version == "gmsh" else {})
-    meshio.write(path, out, file_format=version, binary=binary)
-    return path
 
 
 @pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])

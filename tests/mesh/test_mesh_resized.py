@@ -30,18 +30,14 @@ def field(x, place, smallest, growth):
     return smallest + growth * np.linalg.norm(x - np.array(place), axis=1)
 
 
-def relative_sizes(mesh, place, smallest, growth):
-    cells = np.sqrt(mesh.volumes * 4 / math.sqrt(3)) if mesh.dim == 2 else np.cbrt(mesh.volumes * 6 * math.sqrt(2))
-    return cells / field(mesh.points[mesh.elements].mean(axis=1), place, smallest, growth)
-
-
 @pytest.mark.parametrize("refinements", [0, 2])
 @pytest.mark.parametrize("smallest", [3e-3, 3e-5])
 def test_plane_sizes_are_followed(smallest, refinements):
     place, growth = PLATE.lower, 0.24 / 2**refinements
     mesh = resized(PLATE, sizes_near(PLATE, place, smallest, growth, 60), refinements=refinements)
     check_mesh(mesh, PLATE.boundaries)
-    relative = relative_sizes(mesh, place, smallest, growth)
+    relative = np.sqrt(mesh.volumes * 4 / math.sqrt(3)) / field(
+        mesh.points[mesh.elements].mean(axis=1), place, smallest, growth)
     assert 0.85 < np.median(relative) < 1.15
     assert np.quantile(relative, 0.01) > 0.6 and np.quantile(relative, 0.99) < 1.45
     assert quality(mesh).min_angle > 20

@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-import meshio
 import numpy as np
 import pytest
+from gmsh_file import write
 
 from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, from_gmsh, from_ngsolve, quality, structured, to_ngsolve
 from adaptmg.mesh.arrays import element_facets, facet_keys, facet_table, normalised
@@ -121,11 +121,7 @@ def test_a_folded_node_is_found_from_every_source(tmp_path, mesh):
     assert (bad.volumes > 0).all() and bad.volumes.sum() > 1.04
     raw = to_ngsolve(bad.points, bad.elements, bad.facets, bad.facet_labels, bad.boundaries)
     raw.ngmesh.Save(str(tmp_path / "bad.vol"))
-    kinds = ("triangle", "line") if mesh.dim == 2 else ("tetra", "triangle")
-    tags = [np.full(len(bad.elements), 99), bad.facet_labels + 1]
-    meshio.write(tmp_path / "bad.msh", meshio.Mesh(
-        np.pad(bad.points, ((0, 0), (0, 3 - mesh.dim))), [(kinds[0], bad.elements), (kinds[1], bad.facets)],
-        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags}), file_format="gmsh22", binary=False)
+    write(tmp_path / "bad.msh", bad)
     for read in (lambda: check_mesh(bad), lambda: as_mesh(bad), lambda: from_ngsolve(raw),
                  lambda: as_mesh(tmp_path / "bad.vol"), lambda: from_gmsh(tmp_path / "bad.msh")):
         with pytest.raises(ValueError, match="both their elements on the same side: the mesh is folded over"):

@@ -20,27 +20,14 @@ from adaptmg.geometry import clipping, location, search
 from adaptmg.geometry.quadrature import simplex_rule
 from adaptmg.mesh import MeshArrays, bisect, graded
 from adaptmg.mesh import structured as structured_mesh
-from adaptmg.transfer import (
-    CLIP,
-    L2,
-    Interpolation,
-    LumpedL2,
-    PseudoL2,
-    QuasiInterpolation,
-    Transfer,
-    galerkin_product,
-    interpolation,
-    projections,
-    surface_interpolation,
-    with_contact_rows,
-)
+from adaptmg.transfer import galerkin_product, projections, surface_interpolation, with_contact_rows
 from adaptmg.transfer.contact_rows import between_levels
 from adaptmg.transfer.galerkin import seen
 from adaptmg.transfer.projections import mass_matrix, mixed_mass
 
-ALL = (Interpolation(), L2(), PseudoL2(), LumpedL2(), QuasiInterpolation())
-AFFINE = (Interpolation(), L2(), PseudoL2(), QuasiInterpolation())
-EMBEDDING = (Interpolation(), L2(), PseudoL2())
+ALL = (am.Interpolation(), am.L2(), am.PseudoL2(), am.LumpedL2(), am.QuasiInterpolation())
+AFFINE = (am.Interpolation(), am.L2(), am.PseudoL2(), am.QuasiInterpolation())
+EMBEDDING = (am.Interpolation(), am.L2(), am.PseudoL2())
 
 # coarse, fine: meshes of the same box with independent nodes on its sides, nested ones, a fine one that is coarser
 PAIRS = {"2D": (random_box(20, 2, 1), random_box(90, 2, 2)), "3D": (random_box(12, 3, 1), random_box(60, 3, 2)),
@@ -59,13 +46,13 @@ def name(transfer):
 def test_every_transfer_on_every_pair(transfer, pair):
     coarse, fine = PAIRS[pair]
     P = transfer.build(coarse, fine)
-    assert isinstance(transfer, Transfer)
+    assert isinstance(transfer, am.transfer.Transfer)
     assert P.shape == (fine.n_nodes, coarse.n_nodes) and P.format == "csr" and P.has_canonical_format
     np.testing.assert_allclose(P.sum(axis=1), 1, atol=2e-14)
-    assert np.abs(P.data).min() >= CLIP
+    assert np.abs(P.data).min() >= am.transfer.CLIP
     if transfer in AFFINE:
         assert np.abs(P @ coarse.points - fine.points).max() < 3e-14
-    if transfer in (Interpolation(), LumpedL2()):
+    if transfer in (am.Interpolation(), am.LumpedL2()):
         assert P.data.min() >= 0
     # <r, P v> = <P' r, v>, and a constant force keeps its resultant
     rng = np.random.default_rng(0)
@@ -83,7 +70,7 @@ def test_every_transfer_on_every_pair(transfer, pair):
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), transfer=st.sampled_from(AFFINE),
        apart=st.sampled_from([None, 1e-17, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4]), moved=st.booleans())
-@example(seed=0, dim=2, transfer=L2(), apart=1e-6, moved=True)
+@example(seed=0, dim=2, transfer=am.L2(), apart=1e-6, moved=True)
 def test_sums_and_affine_fields_on_any_two_meshes(seed, dim, transfer, apart, moved):
     """Also where fine nodes equal coarse ones up to rounding: their rows have one entry, and no extent."""
     rng = np.random.default_rng(seed)
@@ -139,7 +126,7 @@ def test_coupling_integrals_are_exact(pair):
     assert y[:, 1] @ (M @ y[:, 1]) == pytest.approx(1 / 3, abs=1e-13)
     if "graded" not in pair:
         exact = np.linalg.solve(M.toarray(), B.toarray())
-        assert np.abs(L2().build(first, second).toarray() - exact).max() < 6e-3
+        assert np.abs(am.L2().build(first, second).toarray() - exact).max() < 6e-3
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
@@ -158,7 +145,7 @@ def test_nodes_outside():
     """A quarter of the element size is the most: the diagonal of the cells here."""
     coarse, points = structured(2, 2), np.array(structured(3, 2).points)
     far, near = (mesh_of(points * scale, structured(3, 2).elements) for scale in (1.126, 1.124))
-    assert Interpolation().build(coarse, near)[[15]].toarray()[0, -1] == 1
+    assert am.Interpolation().build(coarse, near)[[15]].toarray()[0, -1] == 1
     for transfer in ALL:
         with pytest.raises(ValueError, match=r"fine node 15 at \(1.126, 1.126\) lies 0.178 m outside .* same units"):
             transfer.build(coarse, far)
@@ -175,7 +162,7 @@ def test_failures_name_the_argument(transfer):
             (square.points, square, TypeError, "coarse must be MeshArrays"),
             (square, structured(2, 3), ValueError, "same dimension, got 2 and 3"),
             (square, two_boxes(2, 2), ValueError, "no body 'below', which fine has; its bodies are body"),
-            *(((square, UNUSED, ValueError, "fine: node 3 belongs to no element"),) if transfer == PseudoL2() else ())):
+            *(((square, UNUSED, ValueError, "fine: node 3 belongs to no element"),) * (transfer == am.PseudoL2()))):
         with pytest.raises(error, match=message):
             transfer.build(coarse, fine)
 
@@ -183,7 +170,7 @@ def test_failures_name_the_argument(transfer):
 def test_growing_buffers_change_nothing():
     """A fine element over hundreds of coarse ones needs more room than is set aside at first."""
     coarse, fine = random_box(2000, 2, 11), structured(1, 2)
-    P = PseudoL2().build(coarse, fine)
+    P = am.PseudoL2().build(coarse, fine)
     np.testing.assert_allclose(P @ coarse.points, fine.points, atol=1e-12)
     assert P.nnz > 2000
 
@@ -194,10 +181,10 @@ def test_kernels_without_jit(monkeypatch):
             coarse, fine = structured(1, dim), structured(2, dim, 1.3)
             yield from (kind.build(coarse, fine) for kind in ALL)
             yield surface_interpolation(coarse, fine, coarse.facets, np.unique(fine.facets))
-        yield PseudoL2().build(disk(1), disk(2))
+        yield am.PseudoL2().build(disk(1), disk(2))
 
     compiled = [P.toarray() for P in results()]
-    uncompile(monkeypatch, clipping, interpolation, location, projections, search)
+    uncompile(monkeypatch, clipping, am.transfer.interpolation, location, projections, search)
     for plain, expected in zip(results(), compiled, strict=True):
         np.testing.assert_allclose(plain.toarray(), expected, atol=1e-12)
 
@@ -288,7 +275,7 @@ def test_fields_between_levels(levels, transfer, rows):
 
 def test_rigid_motions_and_the_galerkin_matrix(levels):
     problem, meshes, (coarse, fine) = levels
-    found = between_levels(Interpolation(), *meshes, coarse, fine)
+    found = between_levels(am.Interpolation(), *meshes, coarse, fine)
     assert (found.surface is None) == (fine.coupling is None)
     if fine.coupling is None:
         return
@@ -297,7 +284,7 @@ def test_rigid_motions_and_the_galerkin_matrix(levels):
         np.testing.assert_allclose(fine.physical(got), 1.0, atol=1e-11)
         assert np.abs(got[fine.contact.nodes]).max() <= 1e-12
     stiffness = sparse.csr_array(Parts.of(problem, meshes[1]).matrix)
-    P = expand(nodal_of(problem, meshes, Interpolation()), coarse.dim)
+    P = expand(nodal_of(problem, meshes, am.Interpolation()), coarse.dim)
     T = np.column_stack([coarse.physical(unit).ravel() for unit in np.eye(coarse.n_dofs)])
     expected = T.T @ (P.T @ stiffness @ P).toarray() @ T
     got = galerkin_product(fine.matrix, found.prolongation).toarray()
@@ -307,7 +294,7 @@ def test_rigid_motions_and_the_galerkin_matrix(levels):
 def test_constraints_of_surface_rows(levels):
     """Weights >= 0 with sums 1 over the coarse contact nodes of the same pair: what the monotone correction needs."""
     _, meshes, (coarse, fine) = levels
-    found = between_levels(L2(), *meshes, coarse, fine)
+    found = between_levels(am.L2(), *meshes, coarse, fine)
     above, contact = coarse.contact, fine.contact
     surface = found.prolongation if found.surface is None else found.surface
     rows = surface[contact.nodes]
@@ -336,7 +323,7 @@ def test_constraints_of_surface_rows(levels):
 
 def test_soft_bodies_next_to_stiff_ones_count_when_matrices_are_compared():
     coarse, fine = structured(2, 2), structured(4, 2)
-    P, stretched = Interpolation().build(coarse, fine), np.eye(2) + 0.1 * np.random.default_rng(2).random((2, 2))
+    P, stretched = am.Interpolation().build(coarse, fine), np.eye(2) + 0.1 * np.random.default_rng(2).random((2, 2))
     soft = sparse.kron(mass_matrix(fine), sparse.csr_array(stretched))
     stiff = sparse.bsr_array(sparse.block_diag([1e12 * soft, soft]), blocksize=(2, 2))
     both = sparse.csr_array(sparse.block_diag([P, P]))
@@ -372,7 +359,7 @@ def test_on_a_flat_boundary_it_is_the_interpolation(coarse, fine):
     rows = surface_interpolation(coarse, fine, facets, nodes)
     assert rows.shape == (len(nodes), coarse.n_nodes) and np.isin(rows.indices, allowed).all()
     np.testing.assert_allclose(rows @ coarse.points, fine.points[nodes], atol=1e-14)
-    volume = Interpolation().build(coarse, fine)
+    volume = am.Interpolation().build(coarse, fine)
     np.testing.assert_allclose((rows - volume[nodes]).toarray(), 0, atol=1e-7)
     changed, others = with_contact_rows(volume, nodes, 2 * rows), np.setdiff1d(np.arange(fine.n_nodes), nodes)
     assert abs(changed[nodes] - 2 * rows).max() == 0 == abs(changed[others] - volume[others]).max()
@@ -397,7 +384,7 @@ def rows_of(facets):
 
 
 def replaced(rows, at):
-    return with_contact_rows(Interpolation().build(disk(2), disk(3)), at, rows)
+    return with_contact_rows(am.Interpolation().build(disk(2), disk(3)), at, rows)
 
 
 test_refused = refused(
