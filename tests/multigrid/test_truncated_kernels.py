@@ -1,5 +1,6 @@
 """The parts of the truncated multigrid against dense algebra."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -221,15 +222,16 @@ def test_transfers(dim):
     np.testing.assert_allclose(u, expected)
 
 
-def test_singular_coarsest_matrices_are_shifted(monkeypatch):
-    matrix = sparse.bsr_array(np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]]),
-                              blocksize=(2, 2))
-    for dense in (0, 10_000):
+def test_singular_coarsest_matrices_are_shifted_and_others_not_whatever_their_unit(monkeypatch):
+    singular = np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]])
+    regular, rhs, result = singular + np.eye(4), np.array([1.0, -1.0, 0.0, 2.0]), np.empty(4)
+    for dense, scale, (matrix, rtol) in itertools.product((0, 10_000), (1e-10, 1.0, 1e10), (
+            (singular, 1e-5), (regular, 1e-14))):
         monkeypatch.setattr(CoarseFactors, "DENSE", dense)
-        factors, result = CoarseFactors(split(matrix, np.zeros(4, dtype=bool))), np.empty(4)
+        factors = CoarseFactors(split(sparse.bsr_array(scale * matrix, blocksize=(2, 2)), np.zeros(4, dtype=bool)))
         factors.renew()
-        factors.solve(np.array([1.0, -1.0, 0.0, 2.0]), result)
-        np.testing.assert_allclose(matrix @ result, [1, -1, 0, 2], atol=1e-5)
+        factors.solve(scale * rhs, result)
+        np.testing.assert_allclose(matrix @ result, rhs, atol=rtol)
 
 
 @pytest.mark.parametrize("alpha, cut", [(0.0, 0), (0.4, 0), (0.6, 1), (1.1, 2), (-1.0, 1)])
