@@ -177,17 +177,8 @@ def test_no_progress_is_seen_over_four_times_the_nodes_of_a_resolved_mesh(before
     assert ("no progress" in solving.AdaptiveLoop._reached(run, done[-1])) is ends
 
 
-class Engine:
-    def __init__(self, make):
-        self.make, self.bounds = make, []
-
-    def refine(self, problem, mesh, estimate, marked, max_nodes=None):
-        self.bounds.append(max_nodes)
-        return self.make(problem, mesh, estimate, marked, max_nodes)
-
-
 def test_nothing_to_refine_ends_the_loop_and_an_engine_that_makes_too_much_does_not():
-    stuck, most = Engine(lambda problem, mesh, *rest: mesh), {"max_nodes": 1000}
+    stuck, most = SimpleNamespace(refine=lambda problem, mesh, *rest, **options: mesh), {"max_nodes": 1000}
     nothing = SimpleNamespace(mark=lambda estimate: np.zeros(len(estimate.squares), dtype=bool))
     for words, found in (("beyond rounding", loop(am.cases.two_block_patch(), 0.03, max_nodes=10**5)),
                          ("no error", loop(indicator=Constant(0.0), engine=stuck, **most)),
@@ -196,8 +187,12 @@ def test_nothing_to_refine_ends_the_loop_and_an_engine_that_makes_too_much_does_
         assert len(found) == 1 and "no progress" in found[0].outcome and words in found[0].outcome
         assert "coordinates" not in found[0].outcome
     # an engine that overshoots is asked for less
-    generous = Engine(lambda *given: BISECT.refine(*given[:4], max_nodes=int(1.2 * given[4])))
-    assert loop(engine=generous, max_nodes=300)[-1].nodes <= 300 and min(generous.bounds) < 300
+    def refine(*given, max_nodes):
+        bounds.append(max_nodes)
+        return BISECT.refine(*given, max_nodes=int(1.2 * max_nodes))
+
+    bounds = []
+    assert loop(engine=SimpleNamespace(refine=refine), max_nodes=300)[-1].nodes <= 300 and min(bounds) < 300
 
 
 def test_it_starts_from_a_mesh_or_a_hierarchy_with_any_solver_and_transfer(monkeypatch):

@@ -178,6 +178,9 @@ def test_unit_of_the_squares_does_not_matter_zeros_are_fine_and_the_count_is_exa
         assert NodeCount(mesh)(equilibrated_sizes(mesh, some, 400)) == pytest.approx(400, rel=0.01)
     for mesh in (log_graded(300, 2), structured(5, 3), two_boxes(4, 2)):
         assert NodeCount(mesh)(nodal_sizes(mesh, simplex_sizes(mesh))) == pytest.approx(mesh.n_nodes)
+    # half the sizes: four times the nodes inside, twice those of the boundary
+    mesh = structured(16, 2)
+    assert NodeCount(mesh)(0.5 * nodal_sizes(mesh, simplex_sizes(mesh))) == pytest.approx(33**2, rel=0.02)
 
 
 @settings(max_examples=25, deadline=None)

@@ -1,9 +1,11 @@
 """The truncated multigrid: agreement with independent solutions, mesh independence, failures, user-defined parts."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bodies import bumpy
 from norms import distance
 from scipy import sparse
 from scipy.sparse.linalg import splu
@@ -14,12 +16,8 @@ import adaptmg as am
 COLD, NESTED = am.Multigrid(), am.FullMultigrid()
 
 
-def wavy(points: np.ndarray) -> np.ndarray:
-    return 5e-6 * (1 + np.sin(points[:, 0] * 300)) + 1e-5 * points[:, -1]
-
-
 def bar(law: am.problem.Law, n: int = 32) -> am.Hierarchy:
-    problem = replace(am.cases.greco_bar(law=law), contact=am.Contact("bottom", am.GapFunction(wavy)), reference={})
+    problem = replace(am.cases.greco_bar(law=law), contact=am.Contact("bottom", am.GapFunction(bumpy)), reference={})
     return am.Hierarchy.uniform(problem, divisions=[d for d in (4, 8, 16, 32, 64, 128) if d <= n])
 
 
@@ -136,17 +134,6 @@ def test_cycles_of_a_nested_start():
     assert am.NestedStart(cycles=3).cycles_on(middle, fine) == 3
 
 
-class Factors:
-    """LU factors; it keeps the matrices it was set up for."""
-
-    def __init__(self):
-        self.matrices = []
-
-    def setup(self, matrix):
-        self.matrices.append(matrix.copy())
-        return splu(sparse.csc_array(matrix))
-
-
 class Jacobi:
     """Damped sweeps: twenty as a coarse solve, two as a smoother; their passes are counted."""
 
@@ -192,13 +179,14 @@ def far(a, b):
 @pytest.mark.parametrize("grids, method", [
     ("uniform", am.FullMultigrid), ("uniform", am.Multigrid), ("joint", am.FullMultigrid)])
 def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method, request):
-    grids, own = request.getfixturevalue(grids), Factors()
+    grids, matrices = request.getfixturevalue(grids), []
+    own = SimpleNamespace(setup=lambda matrix: matrices.append(matrix.copy()) or splu(sparse.csc_array(matrix)))
     expected = am.solve(grids, method())
     found = am.solve(grids, method(correction=am.Truncated(coarse_solve=own)))
     assert found.cycles == expected.cycles and found.work_units == expected.work_units
     assert far(found, expected) < 1e-8
     # truncated again with the contact status, and regular: no row is empty
-    assert len(own.matrices) > 1 and all((abs(matrix).sum(axis=1) > 0).all() for matrix in own.matrices)
+    assert len(matrices) > 1 and all((abs(matrix).sum(axis=1) > 0).all() for matrix in matrices)
 
 
 def test_an_iterative_one_is_counted(uniform):

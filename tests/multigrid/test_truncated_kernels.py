@@ -1,5 +1,7 @@
 """The parts of the truncated multigrid against dense algebra."""
 
+import itertools
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,18 +12,18 @@ from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.multigrid import half_sweeps as kernels
-from adaptmg.multigrid import linear_cycle, projected_sweeps, split_matrix, truncated_contact, truncation
+from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact, count_cut
 from adaptmg.multigrid.truncated_step import Recombination, Ring
 from adaptmg.multigrid.truncation import Truncation
-from adaptmg.smoother import blocks, node_solve
-from adaptmg.smoother import kernels as smoothing
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.system import BACKWARDS, CLOSED, SLIPS
 from adaptmg.transfer import galerkin_product, without_fixed
+
+COMPILED = ("adaptmg.multigrid.", "adaptmg.smoother.")
 
 
 def random_matrix(rng: np.random.Generator, dim: int, n: int = 9) -> sparse.bsr_array:
@@ -222,15 +224,16 @@ def test_transfers(dim):
     np.testing.assert_allclose(u, expected)
 
 
-def test_singular_coarsest_matrices_are_shifted(monkeypatch):
-    matrix = sparse.bsr_array(np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]]),
-                              blocksize=(2, 2))
-    for dense in (0, 10_000):
+def test_singular_coarsest_matrices_are_shifted_and_others_not_whatever_their_unit(monkeypatch):
+    singular = np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]])
+    regular, rhs, result = singular + np.eye(4), np.array([1.0, -1.0, 0.0, 2.0]), np.empty(4)
+    for dense, scale, (matrix, rtol) in itertools.product((0, 10_000), (1e-10, 1.0, 1e10), (
+            (singular, 1e-5), (regular, 1e-14))):
         monkeypatch.setattr(CoarseFactors, "DENSE", dense)
-        factors, result = CoarseFactors(split(matrix, np.zeros(4, dtype=bool))), np.empty(4)
+        factors = CoarseFactors(split(sparse.bsr_array(scale * matrix, blocksize=(2, 2)), np.zeros(4, dtype=bool)))
         factors.renew()
-        factors.solve(np.array([1.0, -1.0, 0.0, 2.0]), result)
-        np.testing.assert_allclose(matrix @ result, [1, -1, 0, 2], atol=1e-5)
+        factors.solve(scale * rhs, result)
+        np.testing.assert_allclose(matrix @ result, rhs, atol=rtol)
 
 
 @pytest.mark.parametrize("alpha, cut", [(0.0, 0), (0.4, 0), (0.6, 1), (1.1, 2), (-1.0, 1)])
@@ -279,9 +282,9 @@ def test_one_node_is_cut_and_many_are_not():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_kernels_without_the_compiler(dim, monkeypatch):
-    uncompile(monkeypatch, blocks, node_solve, smoothing, kernels, linear_cycle, projected_sweeps, split_matrix,
-              truncated_contact, truncation)
+    uncompile(monkeypatch, *(module for name, module in list(sys.modules.items()) if name.startswith(COMPILED)))
     test_half_passes_are_gauss_seidel(dim)
     test_projected_half_passes_are_the_smoother(dim, "coulomb")
     test_truncated_coarse_matrices(dim, "coulomb", True, False)
     test_transfers(dim)
+    test_weights_of_past_iterates_are_those_of_least_squares()

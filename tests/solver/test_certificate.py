@@ -18,21 +18,16 @@ ROUNDING = 1e-13  # relative energy errors below say nothing
 LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(2e7), "coulomb": am.Coulomb(1.0)}
 
 
-def lifted_bar(law, dim=2):
+@cache
+def grids(law="coulomb", dim=2, divisions=None):
     """The bar (block) pressed at one end, so that nodes are open, slip and stick."""
-    case = am.cases.greco_bar() if dim == 2 else am.cases.greco_block()
-    return replace(case, law=law, reference={})
+    case = am.cases.greco_bar if dim == 2 else am.cases.greco_block
+    return am.Hierarchy.uniform(case(law=LAWS[law]), divisions or ((4, 8, 16) if dim == 2 else (2, 4)))
 
 
 @cache
-def grids(kind="coulomb", dim=2):
-    divisions = (4, 8, 16) if dim == 2 else (2, 4)
-    return am.Hierarchy.uniform(lifted_bar(LAWS[kind], dim), divisions)
-
-
-@cache
-def exact(kind="coulomb", dim=2):
-    return am.solve(grids(kind, dim), EXACT)
+def exact(law="coulomb", dim=2):
+    return am.solve(grids(law, dim), EXACT)
 
 
 @dataclass(frozen=True)
@@ -192,7 +187,7 @@ def test_the_energy_error_is_estimated(solver, law, dim):
 def test_one_step_sees_what_is_smooth(monkeypatch):
     """Hats that keep the contact status; constants over boxes that leave contact out see a third of it here."""
     monkeypatch.setattr("adaptmg.solver.energy_error._MANY", (1, 0.0))
-    hierarchy = am.Hierarchy.uniform(lifted_bar(LAWS["coulomb"]), (4, 8, 16, 32, 64))
+    hierarchy = grids(divisions=(4, 8, 16, 32, 64))
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6), throw=False)
     true = result.certificate(hierarchy.finest.discrete, bound=True).energy_error
     assert 0.75 * true <= certify(hierarchy.finest.discrete, result.displacement, result.contact).energy_error

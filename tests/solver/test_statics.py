@@ -45,7 +45,7 @@ STANDING = {
     "by friction at one node": plate(law=am.Coulomb(lambda x: np.where(x[:, 0] == 2.0, 0.1, 0.0))),
     "enclosed": plate(loads=(), contact=tuple(am.Contact(name, TOUCHING) for name in PLATE.boundaries)),
     "above a gap": plate(contact=am.Contact("bottom", am.Plane(point=(0.0, -1.0), normal=(0.0, 1.0))), supports=LEFT),
-    **{f"loads {size:g}": plate(law=am.Coulomb(0.5), loads=weight(0.4 * size, -size)) for size in (1e-9, 1e9)},
+    **{f"loads {size:g}": plate(law=am.Coulomb(0.5), loads=weight(0.4 * size, -abs(size))) for size in (1e-9, -1e9)},
     # 4 m of contact under a limit of .25 bear a side load of 1 on 4 m2
     "below the limit": plate(law=am.Tresca(0.25), loads=weight(0.25 * 0.999, -1.0)),
     # weight 1 on 4 m2 at lever 2 m against a push at lever 1/2 m: tips about the right foot beyond slope 4
@@ -67,8 +67,8 @@ FALLING = {
     "no load": (plate(loads=(), supports=LEFT), "nothing presses the body against its obstacle: a translation along y"),
     "squeezed": (plate(law=am.Coulomb(0.5), loads=(am.Pressure("left", 1.0), am.Pressure("right", 1.0))),
                  "nothing presses the body"),
-    **{f"loads {size:g}": (plate(law=am.Coulomb(0.5), loads=weight(0.6 * size, -size)), "nothing holds")
-       for size in (1e-9, 1e9)},
+    **{f"loads {size:g}": (plate(law=am.Coulomb(0.5), loads=weight(0.6 * size, -abs(size))), "nothing holds")
+       for size in (1e-9, -1e9)},
     "solid free to slide": (block(supports=SIDES[:1]), "not unique: a translation along y"),
     "solid lifted": (block(law=am.Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)), "nothing holds a translation along z"),
     "solid spun": (block(law=am.Coulomb(0.1), loads=SPIN), "rotation about the axis along z through"),

@@ -11,6 +11,7 @@ from adaptmg.estimate.edge_bubbles import edge_bubbles
 from adaptmg.mesh import structured
 
 MATERIAL = {2: am.PlaneStrain(young=3.0, poisson=0.3), 3: am.Solid(young=3.0, poisson=0.3)}
+ROUND, RING = am.Axisymmetric(young=3.0, poisson=0.3), am.Rectangle(width=1.0, height=1.0, origin=(0.5, 0.0))
 
 
 @pytest.fixture(params=[False, True], ids=["compiled", "plain"])
@@ -36,10 +37,10 @@ def area_vectors(mesh, name):
                     else 0.5 * np.cross(side, corners[:, 2] - corners[:, 0]))
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_blocks_are_the_diagonal_of_a_symmetric_stiffness(dim, jit):
-    mesh = random_box(5, dim, 1)
-    found = edge_bubbles(mesh, posed(mesh, MATERIAL[dim]))
+@pytest.mark.parametrize("material", [*MATERIAL.values(), ROUND], ids=["2D", "3D", "axisymmetric"])
+def test_blocks_are_the_diagonal_of_a_symmetric_stiffness(material, jit):
+    mesh = structured(RING, 2) if material is ROUND else random_box(5, material.dim, 1)
+    dim, found = mesh.dim, edge_bubbles(mesh, posed(mesh, material))
     blocks, _ = found.actions(np.zeros((1, mesh.n_nodes, dim)))
     rng = np.random.default_rng(0)
     x, y = rng.standard_normal((2, len(found.edges), dim))
@@ -53,9 +54,8 @@ def test_blocks_are_the_diagonal_of_a_symmetric_stiffness(dim, jit):
 
 
 def test_axisymmetric_uniform_stress_does_no_work_inside(jit):
-    material = am.Axisymmetric(young=3.0, poisson=0.3)
-    mesh = structured(am.Rectangle(width=1.0, height=1.0, origin=(0.5, 0.0)), 3)
-    found = edge_bubbles(mesh, posed(mesh, material))
+    mesh = structured(RING, 3)
+    found = edge_bubbles(mesh, posed(mesh, ROUND))
     field = np.column_stack([0.3 * mesh.points[:, 0], -0.7 * mesh.points[:, 1]])
     action = found.actions(field[None])[1][0]
     inner = np.ones(len(found.edges), dtype=bool)
