@@ -48,7 +48,7 @@ def adapt() -> None:
     print(mesh.n_nodes, am.Estimate(squares=[1.0], norm=2).total)
     goal = am.Goal(am.ContactForce("contact"))
     for step in am.adapt(posed(), 0.5, indicator=goal, mark=am.Maximum(0.5), engine=am.Bisect(), max_nodes=100):
-        am.plot.deformation(step.result, stress=True, window=(0, 1, 0, 1))
+        am.plot.deformation(step.result, stress=True, states=True)
         print(step.estimate.relative, step.nodes)
 
 
