@@ -36,6 +36,7 @@ import numpy as np
 #: on which the results of adaptmg depend, with itself
 PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
 _NOT_NUMERICAL = ("_fingerprint.py", "export", "plot", "study")
+_COMPILED = tuple(importlib.machinery.EXTENSION_SUFFIXES)
 _MAIN = ("__main__", "__mp_main__")
 _NAMED = (FunctionType, type, ModuleType)
 #: what runs would share and change, or what only an address stands for
@@ -122,25 +123,23 @@ class _Parts:
             name, thing = self._waiting.pop()
             if isinstance(thing, FunctionType):
                 self._function(name, thing)
-            elif isinstance(thing, type):
-                counted = {key: value for key, value in sorted(vars(thing).items()) if key not in _BOOKS
-                           and not type(value).__name__.endswith(("_descriptor", "_abc_data"))}
-                self.value(name, (thing.__bases__, type(thing), counted), "class")
-            else:
-                self._all(name, vars(thing))
+                continue
+            if isinstance(thing, type):
+                self._parts[f"class {name}"] = self._hash((thing.__bases__, type(thing)))
+            self._all(name, vars(thing), strict=isinstance(thing, type))
         return self._parts
 
-    def value(self, where: str, value: object, what: str = "value of") -> None:
+    def value(self, where: str, value: object) -> None:
         """Add a part; functions, classes and modules have parts under their own names."""
         bare = where.split(" ")[0].rpartition(".")[2]
-        if {bare, where, f"{what} {where}"}.intersection(self._depends) or (
+        if {bare, where, f"value of {where}"}.intersection(self._depends) or (
                 isinstance(value, _NAMED) and self.name_of(value) == f"own {where}"):
             return
         try:
-            self._parts[f"{what} {where}"] = self._hash(value)
+            self._parts[f"value of {where}"] = self._hash(value)
         except Exception as error:  # whatever pickling raises
-            raise TypeError(f"results depend on the {what} {where}, which cannot be compared ({error}): build it where "
-                            f"it is used, or name what stands for it: depends={{{bare!r}: ...}}") from error
+            raise TypeError(f"results depend on the value of {where}, which cannot be compared ({error}): build it "
+                            f"where it is used, or name what stands for it: depends={{{bare!r}: ...}}") from error
 
     def name_of(self, thing: object, follow: bool = False) -> str:
         """Return what stands for a function, class or module in values; the user's are followed later."""
@@ -171,7 +170,7 @@ class _Parts:
             self._parts[top] = _sources()
         elif module in _MAIN or top not in sys.stdlib_module_names:
             places = [spec.origin or "", *(spec.submodule_search_locations or ())] if spec else []
-            if not any({"site-packages", "dist-packages"} & set(Path(place).parts) or _is_compiled(place)
+            if not any({"site-packages", "dist-packages"} & set(Path(place).parts) or place.endswith(_COMPILED)
                        for place in places):
                 return True
             self._parts[f"package {top}"] = _version(top, places[0])
@@ -186,7 +185,10 @@ class _Parts:
 
     def _function(self, name: str, function: FunctionType) -> None:
         code, namespace, cells = function.__code__, function.__globals__, {}
-        self.value(name, (code, function.__defaults__, function.__kwdefaults__, vars(function)), "function")
+        self._parts[f"function {name}"] = self._hash(code)
+        for key in ("__defaults__", "__kwdefaults__", *vars(function)):
+            if (value := getattr(function, key)) is not None:
+                self.value(f"{name}.{key}", value)
         for variable, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
             with contextlib.suppress(ValueError):  # not set
                 cells[variable] = cell.cell_contents
@@ -198,7 +200,7 @@ class _Parts:
             elif first in namespace:
                 self._read(f"{home}.{first}", namespace[first], attributes)
             if _ANY.intersection((first, *attributes)):
-                self._all(home, namespace)
+                self._all(home, namespace, strict=False)
         for module in imports:
             if (module in sys.modules or _spec(module)) and self._is_own(module):
                 with contextlib.suppress(Exception):  # the run will raise it
@@ -213,11 +215,11 @@ class _Parts:
             where, value = f"{self._home(value.__name__)}.{attribute}", vars(value)[attribute]
         self.value(where, value)
 
-    def _all(self, name: str, values: Mapping[str, object]) -> None:
-        """Add all names of a module; it may hold values that cannot be compared."""
+    def _all(self, name: str, values: Mapping[str, object], strict: bool) -> None:
+        """Add all names of a class, or of a module, which may hold values that cannot be compared."""
         for key, value in sorted(values.items()):
-            if key not in _BOOKS:
-                with contextlib.suppress(TypeError):
+            if key not in _BOOKS and not type(value).__name__.endswith(("_descriptor", "_abc_data")):
+                with contextlib.suppress(*() if strict else (TypeError,)):
                     self.value(f"{name}.{key}", value)
 
 
@@ -312,17 +314,13 @@ def _spec(name: str) -> importlib.machinery.ModuleSpec | None:
         return None
 
 
-def _is_compiled(place: str) -> bool:
-    return place.endswith(tuple(importlib.machinery.EXTENSION_SUFFIXES))
-
-
 @cache
 def _version(package: str, file: str = "") -> str:
     """Return the version of an installed package, or the hash of a compiled module of the user."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16] if _is_compiled(file) else \
+        return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16] if file.endswith(_COMPILED) else \
             str(getattr(sys.modules.get(package), "__version__", "unknown"))
 
 

@@ -38,7 +38,7 @@ _LOGARITHMIC = 30.0
 def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameters: Sequence[str],
                  results: Sequence[str] | None = None, title: str = "", summary: str = "",
                  units: Mapping[str, str] | None = None, formats: Mapping[str, str] | None = None,
-                 hidden: Sequence[str] = (), csv: str = "", made: Mapping[str, str] | None = None) -> Path:
+                 csv: str = "", made: Mapping[str, str] | None = None) -> Path:
     """Write a report of a study: the number of runs, pictures of the results, all runs, those that failed.
 
     Parameters
@@ -56,8 +56,6 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
         Default title: the name of the study (``table.attrs["study"]``).
     units, formats : mapping of column to str, optional
         See :func:`adaptmg.study.as_text`.
-    hidden : sequence of str
-        Columns that are neither drawn nor shown.
     csv : str
         Name of a CSV file of the table next to the report, for a link.
     made : mapping of str to str, optional
@@ -71,10 +69,10 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     'study.html'
     """
     checks.instance("table", table, pd.DataFrame, "a pandas DataFrame")
-    parameters, hidden = _columns("parameters", parameters, table), _columns("hidden", hidden, table)
+    parameters = _columns("parameters", parameters, table)
     units, formats = {"seconds": "s"} | dict(units or {}), dict(formats or {})
     done = table[table[_STATUS] == _DONE] if _STATUS in table else table
-    varied = [name for name in done if name not in (*parameters, *hidden, _STATUS, _ERROR)
+    varied = [name for name in done if name not in (*parameters, _STATUS, _ERROR)
               and (values := numbers(done[name])) is not None and values.nunique() > 1]
     drawn = varied[:2] if results is None else _columns("results", results, table)
     for name in drawn:
@@ -100,7 +98,7 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
         spread = [[label(name, units.get(name)), *(int(x) if x.is_integer() else x for x in marks[name])]
                   for name in marks]
         page.table(pd.DataFrame(spread, columns=_SPREAD, dtype=object), "Results of all runs that are done", open=True)
-    add(table.drop(columns=[c for c in {_ERROR, *hidden} if c in table]), "All runs", csv=csv, open=True)
+    add(table.drop(columns=[_ERROR], errors="ignore"), "All runs", csv=csv, open=True)
     failed = table.loc[table.index.difference(done.index, sort=False)]
     failed = failed[failed[_ERROR].fillna("").astype(str) != ""] if _ERROR in table else failed.head(0)
     if len(failed):

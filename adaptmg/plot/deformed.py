@@ -30,13 +30,12 @@ _LINES_UP_TO = 8000
 
 @style.styled
 def deformation(result: Result, amplify: float | None = None, *, stress: bool = False, displacement: bool = False,
-                states: bool = False, window: tuple[float, float, float, float] | None = None,
-                bodies: Sequence[str] | None = None, lines: bool | None = None,
+                states: bool = False, bodies: Sequence[str] | None = None, lines: bool | None = None,
                 view: tuple[float, float] | None = None, ax: Axes | None = None) -> Figure:
     """Draw the deformed bodies, each in its own colour, over their outlines before; the title has the amplification.
 
     Amplified bodies seem to overlap where an initial gap has closed, and to part where they only slid; with
-    ``amplify=1`` the picture is to scale.
+    ``amplify=1`` the picture is to scale. ``ax.set_xlim`` and ``ax.set_ylim`` of the figure's axes show a part of it.
 
     Parameters
     ----------
@@ -51,8 +50,6 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
         Colour by the length of the displacement, linear in each element.
     states : bool
         Mark the contact surfaces with the states of their nodes: open, slip, stick.
-    window : (xmin, xmax, ymin, ymax), optional
-        The part that is shown, m; 2D only.
     bodies : sequence of str, optional
         Names of the bodies shown; default all. In 3D the others hide the contact surfaces.
     lines : bool, optional
@@ -71,7 +68,7 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     _ = checks.instance("result", result, Result).mesh  # which raises without one
     coloring = _coloring(result, stress, displacement)
     factor = _automatic_factor(result) if amplify is None else checks.nonnegative("amplify", amplify)
-    scene = _scene(result, factor, bodies, window, coloring)
+    scene = _scene(result, factor, bodies, coloring)
     ax = style.canvas(ax, _size(scene), result.dim)
     if result.dim == 3:
         present = _draw_solid(ax, scene, lines, states)
@@ -101,7 +98,7 @@ class Coloring:
 
 @dataclass(frozen=True)
 class DrawnBody:
-    """One body, or the part of it within a window."""
+    """One body."""
 
     name: str
     color: str
@@ -127,12 +124,6 @@ class Scene:
     def n_elements(self) -> int:
         """Number of elements shown."""
         return sum(len(shape.elements) for shape in self.shapes)
-
-    def is_zoomed(self) -> bool:
-        """Return whether something lies outside the part that is shown."""
-        points = self.after[np.concatenate([shape.facets.ravel() for shape in self.shapes])]
-        slack = 1e-9 * (self.upper - self.lower)
-        return bool((points < self.lower - slack).any() or (points > self.upper + slack).any())
 
 
 def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | None:
@@ -161,28 +152,15 @@ def _automatic_factor(result: Result) -> float:
     return float(power * min((1, 2, 5, 10), key=lambda m: abs(np.log(m * power / factor))))
 
 
-def _scene(result: Result, factor: float, bodies: Sequence[str] | None,
-           window: tuple[float, float, float, float] | None, coloring: Coloring | None) -> Scene:
-    """Choose bodies and elements, and place them."""
+def _scene(result: Result, factor: float, bodies: Sequence[str] | None, coloring: Coloring | None) -> Scene:
+    """Choose bodies, and place them."""
     mesh = result.mesh
     chosen = _bodies(mesh, bodies)
     moved = mesh.points + factor * result.displacement
-    seen = np.isin(mesh.element_body, chosen)
-    if window is None:
-        nodes = np.unique(mesh.elements[seen])
-        lower, upper, _ = style.bounds(np.vstack([mesh.points[nodes], moved[nodes]]))
-    else:
-        lower, upper = _window(window, mesh.dim)
-        # with a margin of a tenth, so that no element ends in sight
-        corners, margin = [x[mesh.elements] for x in (mesh.points, moved)], 0.1 * (upper - lower)
-        seen &= np.any([((x.min(axis=1) <= upper + margin) & (x.max(axis=1) >= lower - margin)).all(axis=1)
-                        for x in corners], axis=0)
-        if not seen.any():
-            raise ValueError(f"window {tuple(window)} shows nothing: it is (xmin, xmax, ymin, ymax) in m, and the "
-                             f"bodies lie between {mesh.points.min(axis=0)} and {mesh.points.max(axis=0)}")
-    scale, unit = style.scaled(float(np.linalg.norm(upper - lower)), "m")
-    shapes = [_shape(mesh, body, np.flatnonzero(seen & (mesh.element_body == body))) for body in chosen
-              if (seen & (mesh.element_body == body)).any()]
+    nodes = np.unique(mesh.elements[np.isin(mesh.element_body, chosen)])
+    lower, upper, size = style.bounds(np.vstack([mesh.points[nodes], moved[nodes]]))
+    scale, unit = style.scaled(size, "m")
+    shapes = [_shape(mesh, body, np.flatnonzero(mesh.element_body == body)) for body in chosen]
     shapes.sort(key=lambda shape: -float(np.abs(mesh.volumes[shape.elements]).sum()))
     return Scene(result, mesh.points * scale, moved * scale, unit, tuple(shapes), lower * scale, upper * scale,
                  coloring)
@@ -195,15 +173,6 @@ def _bodies(mesh: MeshArrays, names: Sequence[str] | None) -> list[int]:
     if not names:
         raise ValueError("bodies must name at least one body; None shows all")
     return [mesh.bodies.index(checks.choice("bodies", name, mesh.bodies)) for name in dict.fromkeys(names)]
-
-
-def _window(window: tuple[float, float, float, float], dim: int) -> tuple[np.ndarray, np.ndarray]:
-    if dim != 2:
-        raise ValueError("window is for two dimensions: in 3D choose bodies=... and view=...")
-    x0, x1, y0, y1 = check_arrays.vector("window", window, 4)
-    if not (x0 < x1 and y0 < y1):
-        raise ValueError(f"window must be (xmin, xmax, ymin, ymax) with xmin < xmax and ymin < ymax, got {window!r}")
-    return np.array([x0, y0]), np.array([x1, y1])
 
 
 def _shape(mesh: MeshArrays, body: int, elements: np.ndarray) -> DrawnBody:
@@ -259,10 +228,10 @@ def _draw_plane(ax: Axes, scene: Scene, lines: bool) -> None:
                                          zorder=3.6))
         ax.add_collection(LineCollection([scene.before[ring] for ring in rings], color=style.GREY, linewidth=0.8,
                                          linestyle=(0, (4, 3)), zorder=3.5))
-    margin = 0.0 if scene.is_zoomed() else 0.03 * float(np.max(scene.upper - scene.lower))
+    margin = 0.03 * float(np.max(scene.upper - scene.lower))
     ax.set(aspect="equal", xlim=(scene.lower[0] - margin, scene.upper[0] + margin),
            ylim=(scene.lower[1] - margin, scene.upper[1] + margin))
-    ax.spines[:].set_visible(scene.is_zoomed())
+    ax.spines[:].set_visible(False)
 
 
 def _fill(ax: Axes, scene: Scene, shape: DrawnBody, rings: list[np.ndarray], width: float, zorder: float) -> None:

@@ -18,6 +18,10 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot import style
 from adaptmg.plot.surfaces import draw_facets, finish_axes, view_of
+from adaptmg.solver.contact_result import ContactResult
+
+#: of marked facets
+_MARK = (0.93, 0.55, 0.25, 1.0)
 
 
 @style.styled
@@ -84,24 +88,41 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     return axes[0].figure
 
 
-def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str]) -> None:
+def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str], result: ContactResult | None = None) -> set[int]:
+    """Draw a mesh with its contact boundaries marked, by the states of a result, which are returned."""
     scale, unit = style.scaled(style.bounds(drawn.points)[2], "m")
-    points, fills = drawn.points * scale, to_rgba_array(style.body_fills(len(drawn.bodies)))
-    marked = np.isin(drawn.facet_labels, [drawn.boundaries.index(name) for name in contact if name in drawn.boundaries])
-    if drawn.dim == 3:
-        body = np.zeros(drawn.n_nodes, dtype=int)
-        body[drawn.elements] = drawn.element_body[:, None]
-        colors = np.where(marked[:, None], np.array([0.93, 0.55, 0.25, 1.0]), fills[body[drawn.facets[:, 0]]])
+    points, solid, present = drawn.points * scale, drawn.dim == 3, set()
+    fills = to_rgba_array(style.body_fills(len(drawn.bodies)) if result is None else [style.PALE] * len(drawn.bodies))
+    body = np.zeros(drawn.n_nodes, dtype=int)
+    body[drawn.elements] = drawn.element_body[:, None]
+    colors, marked = fills[body[drawn.facets[:, 0]]], np.zeros(len(drawn.facets), dtype=bool)
+    if not solid:
+        width = float(np.clip(16 / np.sqrt(len(drawn.elements)), 0.1, 0.7))
+        ax.add_collection(PolyCollection(points[drawn.elements], facecolor=fills[drawn.element_body], linewidth=width,
+                                         edgecolor=style.INK, rasterized=len(drawn.elements) > 20_000))
+        ax.add_collection(LineCollection(points[drawn.facets], color=style.INK, linewidth=0.9))
+    for boundary, name in enumerate(contact):
+        mine = drawn.facet_labels == (drawn.boundaries.index(name) if name in drawn.boundaries else -1)
+        if result is not None:
+            state = style.states_of(result, boundary, drawn.n_nodes)
+            mine &= (state[drawn.facets] >= 0).all(axis=1)
+            present |= set(state[drawn.facets[mine]].ravel().tolist())
+        marked |= mine
+        if solid:
+            colors[mine] = _MARK if result is None else to_rgba_array(
+                [style.STATE_INKS[code] for code in np.median(state[drawn.facets[mine]], axis=1).astype(int)])
+            continue
+        for line in style.polylines(drawn.facets[mine]):
+            segments, inks = style.halves(points[line], np.zeros(len(line)) if result is None else state[line])
+            ax.add_collection(LineCollection(segments, colors=style.ORANGE if result is None else inks, linewidths=2.6,
+                                             capstyle="butt", zorder=4))
+    if solid:
         draw_facets(ax, points[drawn.facets], colors)
         finish_axes(ax, points, unit)
         view_of(ax, points[drawn.facets[marked]])
-        return
-    width = float(np.clip(18 / np.sqrt(len(drawn.elements)), 0.12, 0.7))
-    ax.add_collection(PolyCollection(points[drawn.elements], facecolor=fills[drawn.element_body],
-                                     edgecolor=style.INK, linewidth=width))
-    ax.add_collection(LineCollection(points[drawn.facets], color=style.INK, linewidth=0.9))
-    ax.add_collection(LineCollection(points[drawn.facets[marked]], color=style.ORANGE, linewidth=2.4, capstyle="butt"))
+        return present
     _finish_plane(ax, unit)
+    return present
 
 
 def _finish_plane(ax: Axes, unit: str) -> None:
@@ -139,7 +160,10 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     present: set[int] = set()
     for k, number in enumerate(shown):
         ax = figure.add_subplot(2, 3, k + 1, projection=kind)
-        present |= _mesh(ax, steps[number])
+        contact = steps[number].result.contact
+        present |= _draw(steps[number].hierarchy.finest.mesh, ax, contact.names, contact)
+        if dim == 3:
+            ax.set_axis_off()
         ax.set_title(f"step {number}: {steps[number].nodes} nodes", fontsize=9.5)
     figure.legend(handles=style.state_lines(present), loc="outside upper right", ncols=3, fontsize=8.5)
     _map(figure, figure.add_subplot(2, 3, 4, projection=kind), steps[-1])
@@ -174,40 +198,6 @@ def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str, step: Ste
         axis.set_major_locator(LogLocator(subs=subs, numticks=20))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
-
-
-def _mesh(ax: Axes, step: Step) -> set[int]:
-    """Draw a mesh and its contact surfaces in the colours of their states; return the states that occur."""
-    mesh, contact = step.hierarchy.finest.mesh, step.result.contact
-    scale, unit = style.scaled(style.bounds(mesh.points)[2], "m")
-    points = mesh.points * scale
-    colors = to_rgba_array([style.PALE]).repeat(len(mesh.facets), axis=0)
-    touching = np.zeros(len(mesh.facets), dtype=bool)
-    present: set[int] = set()
-    for boundary, name in enumerate(contact.names):
-        state = style.states_of(contact, boundary, mesh.n_nodes)
-        mine = (mesh.facet_labels == mesh.boundaries.index(name)) & (state[mesh.facets] >= 0).all(axis=1)
-        if mesh.dim == 3:
-            of_facet = np.median(state[mesh.facets[mine]], axis=1).astype(int)
-            colors[mine] = to_rgba_array([style.STATE_INKS[code] for code in of_facet])
-            touching |= mine
-        else:
-            for line in style.polylines(mesh.facets[mine]):
-                segments, inks = style.halves(points[line], state[line])
-                ax.add_collection(LineCollection(segments, colors=inks, linewidths=2.8, capstyle="butt", zorder=4))
-            of_facet = state[mesh.facets[mine]].ravel()
-        present |= set(of_facet.tolist())
-    if mesh.dim == 3:
-        draw_facets(ax, points[mesh.facets], colors)
-        finish_axes(ax, points, unit)
-        view_of(ax, points[mesh.facets[touching]])
-        ax.set_axis_off()
-    else:
-        width = float(np.clip(14 / np.sqrt(len(mesh.elements)), 0.06, 0.6))
-        ax.add_collection(PolyCollection(points[mesh.elements], facecolor=style.PALE, edgecolor=style.INK,
-                                         linewidth=width, rasterized=len(mesh.elements) > 20_000))
-        _finish_plane(ax, unit)
-    return present
 
 
 def _map(figure: Figure, ax: Axes, step: Step) -> None:

@@ -42,6 +42,6 @@ def adapt() -> float:
     print(mesh.n_nodes, am.Estimate(squares=[1.0], norm=2).total)
     goal = am.Goal(am.ContactForce("contact"))
     for step in am.adapt(posed(), 0.5, indicator=goal, mark=am.Maximum(0.5), engine=am.Bisect(), max_nodes=100):
-        am.plot.deformation(step.result, stress=True, window=(0, 1, 0, 1))
+        am.plot.deformation(step.result, stress=True, states=True)
     table = am.Study(lambda n: {"square": n * n}, {"n": [1, 2]}).run(workers=2)
     return float(table.query("n > 1")["square"].max())

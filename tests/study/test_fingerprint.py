@@ -147,6 +147,26 @@ def test_what_cannot_be_compared_is_refused_with_a_way_out(run, words):
     assert len(Study(run, {"n": [1]}, depends={"LOCK": None, "GENERATOR": "seed 0"})) == 1
 
 
+class Locked:
+    lock = threading.Lock()
+
+    def twice(self):
+        return FACTOR * 2
+
+
+def uses_locked(n):
+    return {"m": Locked().twice() * n}
+
+
+def test_what_is_named_for_an_attribute_replaces_that_attribute_alone(monkeypatch):
+    with pytest.raises(TypeError, match=r"Locked\.lock.*depends=\{'lock'"):
+        fingerprint(uses_locked)
+    before = fingerprint(uses_locked, {"lock": None})
+    monkeypatch.setitem(globals(), "FACTOR", 3)
+    assert fingerprint(uses_locked, {"lock": None}).differences(before.parts) == [
+        "value of test_fingerprint.FACTOR is changed"]
+
+
 def test_files_can_be_named_as_what_a_run_depends_on(tmp_path):
     file = tmp_path / "mesh.txt"
     seen = set()
