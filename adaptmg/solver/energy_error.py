@@ -176,8 +176,9 @@ class _Preconditioner:
 
 
 def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray,
-                    aggregates: Aggregates | None) -> float:
-    """Energy of the displacement that a residual, which is overwritten, brings about in the space of a status, N m."""
+                    aggregates: Aggregates | None, negligible: float = 0.0) -> float:
+    """Energy of the displacement that a residual, which is overwritten, brings about in the space of a status, N m. If
+    it is at most ``negligible`` after the first step, that is the answer."""
     status.project(residual)
     size = _dot(residual, residual)
     if not np.isfinite(size):
@@ -187,7 +188,8 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
     if aggregates is None:
         return _factorised(matrix, status, residual)
     given = residual.copy() if matrix.shape[0] <= _FACTORISED[residual.shape[1]] else None
-    energy, settled = _estimated(matrix, status, residual, _Preconditioner(matrix, status, aggregates))
+    precondition = _Preconditioner(matrix, status, aggregates)
+    energy, settled = _estimated(matrix, status, residual, precondition, negligible)
     if not settled and given is not None:
         try:
             return _factorised(matrix, status, given)
@@ -196,13 +198,14 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
     return energy
 
 
-def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner
-               ) -> tuple[float, bool]:
+def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner,
+               negligible: float) -> tuple[float, bool]:
     """A Galerkin solution's energy, and whether further steps would change it little; overwrites the residual."""
     least, missing = _FEW if len(residual) <= _SMALL else _MANY
     symmetric, energy, largest = status.symmetric, 0.0, 0.0
     start = None if symmetric else residual.copy()
     kept: list[tuple[np.ndarray, np.ndarray]] = []  # orthonormal directions, and what the equations make of them
+    equations, load = np.empty((0, 0)), []
     for step in range(1, (_MOST if symmetric else _MOST_COULOMB) + 1):
         direction, image = precondition(residual)
         product, before = _dot(residual, direction), energy
@@ -231,10 +234,12 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
             _add(-share, forces, residual)
             energy += share * share
         else:
+            column = [_dot(v, forces) for v, _ in kept]
             kept.append((direction, forces))
-            equations = np.array([[_dot(v, f) for _, f in kept] for v, _ in kept])
+            equations = np.vstack([np.column_stack([equations, column]), [_dot(direction, f) for _, f in kept]])
+            load.append(_dot(direction, start))
             try:
-                shares = np.linalg.solve(equations, [_dot(v, start) for v, _ in kept])
+                shares = np.linalg.solve(equations, load)
             except np.linalg.LinAlgError:
                 return energy, False
             residual[:] = start
@@ -242,6 +247,8 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
                 _add(-share, f, residual)
             energy = float(shares @ shares)
         largest = max(largest, abs(energy - before) / product)
+        if energy <= negligible:
+            return energy, True
         if step >= least and largest * product <= missing * energy:
             return energy, True
     return energy, False

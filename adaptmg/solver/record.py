@@ -63,7 +63,7 @@ class Run:
     untimed_seconds: float = 0.0  # spent on comparison with the reference
     first_cycle: int = 0  # cycles done by another method before the one that records now
     fallback: str = ""  # the method that took over, and from which cycle; empty if none did
-    examiner: Callable[[np.ndarray], Examined] | None = None
+    examiner: Callable[[np.ndarray, float], Examined] | None = None
     _nested_seconds: float = 0.0
 
     #: entries of ``path`` kept; a run of thousands of cycles repeats itself
@@ -113,7 +113,7 @@ class Run:
         if self.examiner is None or not rtol > 0:
             return 0.0
         with self.phase("certificate"):
-            checked = self.examiner(solved).checked
+            checked = self.examiner(solved, rtol).checked
         if checked.energy_error > max(rtol, checked.energy_rounding):
             return checked.energy_error / rtol
         return 1.0 if checked.contradictions(rtol) else 0.0

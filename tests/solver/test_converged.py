@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
+from adaptmg.solver import energy_error
 
 
 @cache
@@ -30,3 +31,15 @@ def test_the_true_error_is_at_most_rtol(case, friction, rtol, solver):
     error = result.displacement.reshape(-1) - solution
     assert np.sqrt((error @ (matrix @ error)) / (solution @ (matrix @ solution))) <= rtol
     assert result.status is am.Status.CONVERGED and result.checked.energy_error <= rtol
+
+
+def test_an_error_far_below_rtol_is_estimated_by_one_step(monkeypatch):
+    steps, step = [], energy_error._Preconditioner.__call__
+    monkeypatch.setattr(energy_error._Preconditioner, "__call__",
+                        lambda self, residual: (steps.append(1), step(self, residual))[1])
+    result = am.solve(grids("bar", 0.6), am.FullMultigrid(rtol=1e-2))
+    assert len(steps) == 1
+    found = result.certificate().energy_error
+    assert len(steps) > 2 and found / 3 <= result.checked.energy_error <= 1.001 * found <= 1e-3
+    am.solve(grids("bar", 0.6), am.FullMultigrid(rtol=1e-4))
+    assert len(steps) > 5
