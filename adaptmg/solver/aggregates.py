@@ -20,8 +20,8 @@ from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, time
 
 #: nodes of an aggregate and its depth in the graph, by dimension
 _SIZE = {2: (64, 4), 3: (80, 3)}
-#: beyond this number of nodes: least nodes of an aggregate, and the number of aggregates, about, that bounds the cost of
-#: the coarse matrix
+#: beyond this number of nodes: least nodes of an aggregate, and about the most aggregates, which bound the cost of the
+#: coarse matrix
 _MANY, _LARGE, _MOST = 40_000, 100, {2: 1800, 3: 500}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
