@@ -338,8 +338,9 @@ class Evidence:
     def _held(self, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nodes in supports or contact, and the projections there, from those (n_contact, dim, dim) of contact."""
         nodes = self.problem.contact.nodes
-        supported = np.flatnonzero(self.problem.fixed) // self.problem.dim
-        held = np.append(nodes, np.setdiff1d(supported, nodes))
+        supported = self.fixed.any(axis=1)
+        supported[nodes] = False
+        held = np.append(nodes, np.flatnonzero(supported))
         every = np.concatenate([kept, np.tile(np.eye(self.problem.dim), (len(held) - len(nodes), 1, 1))])
         free = ~self.fixed[held]
         return held, every * free[:, :, None] * free[:, None, :]

@@ -158,8 +158,10 @@ class _Preconditioner:
         _inverses(self._zero, matrix.indptr, matrix.indices, matrix.data, diagonal, inverse)
         diagonal[status.nodes] += status.stiffening
         # what is projected away has no stiffness
-        inverse[status.held] = np.linalg.pinv(status.kept @ diagonal[status.held] @ status.kept, rcond=1e-12,
-                                              hermitian=True)
+        stiffness, axes = np.linalg.eigh(status.kept @ diagonal[status.held] @ status.kept)
+        size = np.abs(stiffness)
+        stiffness[size <= 1e-12 * size.max(axis=1, initial=0.0, keepdims=True)] = np.inf
+        inverse[status.held] = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
         number = np.full(n, -1, dtype=np.int32)
         number[status.held] = np.arange(len(status.held))
         self._inverse = inverse.reshape(-1)
