@@ -19,9 +19,11 @@ from adaptmg._threads import in_parts
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, times, write
 
-#: nodes of an aggregate and its depth in the graph, by dimension; beyond the number of nodes in the
-#: middle the number of aggregates, which bounds the cost of the coarse matrix
-_SIZE, _MANY, _MOST = {2: (64, 4), 3: (80, 3)}, 100_000, {2: 1800, 3: 500}
+#: nodes of an aggregate and its depth in the graph, by dimension
+_SIZE = {2: (64, 4), 3: (80, 3)}
+#: beyond this number of nodes: least nodes of an aggregate, and about the most aggregates, which bound the cost of the
+#: coarse matrix
+_MANY, _LARGE, _MOST = 40_000, 100, {2: 1800, 3: 500}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
 #: of the diagonal, added to it: a status may take motions from an aggregate
@@ -154,7 +156,7 @@ class Aggregates:
         group[problem.fixed.reshape(n, dim).all(axis=1)] = -1
         size, depth = _SIZE[dim]
         if n > _MANY:
-            size = n // _MOST[dim]
+            size = max(_LARGE, n // _MOST[dim])
             depth = round(0.9 * size ** (1 / dim))
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
         self.label = np.full(n, -1, dtype=np.int32)

@@ -164,8 +164,10 @@ class _Preconditioner:
                  inverse)
         diagonal[status.nodes] += status.stiffening
         # what is projected away has no stiffness
-        inverse[status.held] = np.linalg.pinv(status.kept @ diagonal[status.held] @ status.kept, rcond=1e-12,
-                                              hermitian=True)
+        stiffness, axes = np.linalg.eigh(status.kept @ diagonal[status.held] @ status.kept)
+        size = np.abs(stiffness)
+        stiffness[size <= 1e-12 * size.max(axis=1, initial=0.0, keepdims=True)] = np.inf
+        inverse[status.held] = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
         number = np.full(n, -1, dtype=np.int32)
         number[status.held] = np.arange(len(status.held))
         self._inverse = inverse.reshape(-1)
@@ -184,8 +186,9 @@ class _Preconditioner:
 
 
 def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray,
-                    aggregates: Aggregates | None) -> float:
-    """Energy of the displacement that a residual, which is overwritten, brings about in the space of a status, N m."""
+                    aggregates: Aggregates | None, negligible: float = 0.0) -> float:
+    """Energy of the displacement that a residual, which is overwritten, brings about in the space of a status, N m. If
+    it is at most ``negligible`` after the first step, that is the answer."""
     status.project(residual)
     size = _dot(residual, residual)
     if not np.isfinite(size):
@@ -195,7 +198,8 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
     if aggregates is None:
         return _factorised(matrix, status, residual)
     given = residual.copy() if matrix.shape[0] <= _FACTORISED[residual.shape[1]] else None
-    energy, settled = _estimated(matrix, status, residual, _Preconditioner(matrix, status, aggregates))
+    precondition = _Preconditioner(matrix, status, aggregates)
+    energy, settled = _estimated(matrix, status, residual, precondition, negligible)
     if not settled and given is not None:
         try:
             return _factorised(matrix, status, given)
@@ -204,13 +208,14 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
     return energy
 
 
-def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner
-               ) -> tuple[float, bool]:
+def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner,
+               negligible: float) -> tuple[float, bool]:
     """A Galerkin solution's energy, and whether further steps would change it little; overwrites the residual."""
     least, missing = _FEW if len(residual) <= _SMALL else _MANY
     symmetric, energy, largest = status.symmetric, 0.0, 0.0
     start = None if symmetric else residual.copy()
     kept: list[tuple[np.ndarray, np.ndarray]] = []  # orthonormal directions, and what the equations make of them
+    equations, load = np.empty((0, 0)), []
     for step in range(1, (_MOST if symmetric else _MOST_COULOMB) + 1):
         direction, image = precondition(residual)
         product, before = _dot(residual, direction), energy
@@ -239,10 +244,12 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
             _add(-share, forces, residual)
             energy += share * share
         else:
+            column = [_dot(v, forces) for v, _ in kept]
             kept.append((direction, forces))
-            equations = np.array([[_dot(v, f) for _, f in kept] for v, _ in kept])
+            equations = np.vstack([np.column_stack([equations, column]), [_dot(direction, f) for _, f in kept]])
+            load.append(_dot(direction, start))
             try:
-                shares = np.linalg.solve(equations, [_dot(v, start) for v, _ in kept])
+                shares = np.linalg.solve(equations, load)
             except np.linalg.LinAlgError:
                 return energy, False
             residual[:] = start
@@ -250,6 +257,8 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
                 _add(-share, f, residual)
             energy = float(shares @ shares)
         largest = max(largest, abs(energy - before) / product)
+        if energy <= negligible:
+            return energy, True
         if step >= least and largest * product <= missing * energy:
             return energy, True
     return energy, False

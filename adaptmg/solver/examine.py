@@ -88,8 +88,9 @@ class Examiner:
                 return 0.0
         return 0.0 if size == 0.0 else size / (scale or size)
 
-    def __call__(self, solved: np.ndarray) -> Examined:
-        """Examine a displacement (n_nodes, dim) or (n_dofs,), between bodies in relative coordinates, m."""
+    def __call__(self, solved: np.ndarray, rtol: float = 0.0) -> Examined:
+        """Examine a displacement (n_nodes, dim) or (n_dofs,), between bodies in relative coordinates, m; ``rtol``: the
+        tolerance that is asked for."""
         solved = np.array(solved, dtype=np.float64).reshape(-1)
         if self._last is not None and np.array_equal(self._last[0], solved):
             return self._last[1]
@@ -102,7 +103,7 @@ class Examiner:
         contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
                                  -self._at_contact(residual))
         natural = self._residual(solved, residual)
-        checked = certify(discrete, displacement, contact, known=(residual, energy))
+        checked = certify(discrete, displacement, contact, known=(residual, energy), rtol=rtol)
         # in place: long vectors are what limits the size of a problem
         reaction = discrete.physical_forces(np.negative(residual, out=residual)).reshape(nodal.shape)
         found = Examined(displacement, reaction, contact, natural, checked)
