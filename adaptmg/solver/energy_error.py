@@ -27,7 +27,7 @@ from scipy.linalg.blas import daxpy
 from scipy.sparse.linalg import splu
 
 from adaptmg._runtime import kernel
-from adaptmg._threads import Strips, in_parts
+from adaptmg._threads import Strips, in_parts, sum_of_parts
 from adaptmg.smoother.blocks import ONE, ZERO, add, in_loop, read, subtract, times, transposed_times, write
 from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 
@@ -278,7 +278,11 @@ def _add(factor: float, vector: np.ndarray, to: np.ndarray) -> None:
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.einsum("nd,nd->", a, b))
+    return float(sum_of_parts(_dot_of_rows, len(a), 2 * a.size, a, b))
+
+
+def _dot_of_rows(first: int, last: int, a: np.ndarray, b: np.ndarray) -> float:
+    return np.einsum("nd,nd->", a[first:last], b[first:last])
 
 
 @kernel
