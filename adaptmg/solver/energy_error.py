@@ -157,7 +157,7 @@ class _Preconditioner:
         dim = status.kept.shape[1]
         n = matrix.shape[0] // dim
         self._zero = ZERO[dim]
-        self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim)
+        self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
         diagonal, inverse = np.zeros((n, dim, dim)), np.empty((n, dim, dim))
         in_parts(_inverses, n, matrix.data.size, self._zero, matrix.indptr, matrix.indices, matrix.data, diagonal,
