@@ -32,7 +32,7 @@ TASKS = {
     "grids": ("Grids", "Hierarchies, coarsest level first, and their meshes.", ("hierarchy", "mesh")),
     "transfers": ("Transfers", "Prolongations between meshes, nested or not.", ("transfer",)),
     "solve": ("Solve", "Methods, their parts, and results. Bare matrices are posed here, too.",
-              ("solver", "multigrid", "smoother", "discrete")),
+              ("solver", "multigrid", "smoother", "discrete", "_threads")),
     "adapt": ("Adapt", "The adaptive loop: indicators, goals, marks and engines.", ("estimate",)),
     "study": ("Study", "A function and a design, to a durable store, to a table.", ("study",)),
     "plot": ("Plot", "Pictures; every function returns a matplotlib figure.", ("plot",)),

@@ -38,7 +38,8 @@ class SimplexLocator:
         self.tree = BoxTree(points, elements[chosen])
         self.element_of = chosen[self.tree.order].astype(np.int32)
         self.maps = np.empty((len(chosen), self.dim * (self.dim + 1)))
-        affine_maps(self.tree.points, read_only(self.tree.simplices), self.maps)
+        in_parts(affine_maps, len(chosen), 2 * self.maps.size, self.tree.points, read_only(self.tree.simplices),
+                 self.maps)
         if not np.isfinite(self.maps.sum()) and (bad := ~np.isfinite(self.maps).all(axis=1)).any():
             raise ValueError(f"mesh: element {self.element_of[np.argmax(bad)]} has no volume; remove degenerate "
                              "elements")
@@ -66,14 +67,14 @@ _ROUNDING = 4 * np.finfo(np.float64).eps
 
 
 @kernel
-def affine_maps(points, elements, maps):
+def affine_maps(first, last, points, elements, maps):
     """Origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim). Not finite where an
     element has no volume."""
     dim = elements.shape[1] - 1
     # the gradients are cross products of the edges; in 2D the third edge is the unit vector along z
     edges = np.zeros((3, 3))
     edges[2, 2] = 1.0
-    for e in range(len(elements)):
+    for e in range(first, last):
         for m in range(dim):
             maps[e, m] = points[elements[e, 0], m]
             for c in range(dim):

@@ -4,7 +4,7 @@ For :math:`(L + D + U)\,u = f`, stored as :class:`~adaptmg.multigrid.split_matri
 symmetric. From zero: forward (L), keeping :math:`s = f - L u`; backward (U), keeping the change :math:`\delta`; then
 the residual is :math:`-L\delta` (L). After the coarse correction: forward (L and U), keeping s; backward (U). Two
 symmetric sweeps and a residual in three passes. The sweeps go over places ``first`` to ``last`` of ``order``, see
-:class:`~adaptmg._threads.Strips`, the other kernels over rows.
+:class:`~adaptmg._threads.Strips`, in which the rows of halves are stored, the other kernels over nodes.
 
 Restriction scatters, prolongation is fused with what follows it, both from the same arrays. A nodal prolongation P acts
 on every component, one of dofs as of nodes with one component: the length of ``zero`` (see
@@ -29,9 +29,9 @@ def forward_from_zero(first, last, order, zero, l_indptr, l_indices, lower, inve
     """u = (L + D)^-1 f, kept = f - L u."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
-        i = np.uint64(order[place])
+        row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
+        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
         write(kept, at, r)
         write(u, at, times(inverse, dim * at, r))
 
@@ -41,8 +41,8 @@ def forward_residual(first, last, order, zero, u_indptr, u_indices, upper, u, re
     """The residual after :func:`forward_from_zero`: minus U times u."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
-        i = np.uint64(order[place])
-        write(result, dim * i, minus_row(i, 1, u_indptr, u_indices, upper, u, zero, LINES))
+        row, i = np.uint64(place), np.uint64(order[place])
+        write(result, dim * i, minus_row(row, 1, u_indptr, u_indices, upper, u, zero, LINES))
 
 
 @kernel
@@ -50,9 +50,9 @@ def backward_change(first, last, order, zero, u_indptr, u_indices, upper, invers
     """Backward sweep that takes f - L u from ``kept`` and leaves the change of u there."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
-        i = np.uint64(order[place])
+        row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(i, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
+        r = minus_row(row, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
         new = times(inverse, dim * at, r)
         write(kept, at, subtract(new, read(u, at, zero)))
         write(u, at, new)
@@ -63,8 +63,8 @@ def residual(first, last, order, zero, l_indptr, l_indices, lower, kept):
     """The residual after :func:`backward_change`, minus L times the change, in place of the change."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
-        i = np.uint64(order[place])
-        write(kept, dim * i, minus_row(i, -1, l_indptr, l_indices, lower, kept, zero, LINES))
+        row, i = np.uint64(place), np.uint64(order[place])
+        write(kept, dim * i, minus_row(row, -1, l_indptr, l_indices, lower, kept, zero, LINES))
 
 
 @kernel
@@ -73,11 +73,11 @@ def forward_full(first, last, order, zero, l_indptr, l_indices, lower, u_indptr,
     """Forward sweep from any u, kept = f - L u."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
-        i = np.uint64(order[place])
+        row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
+        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
         write(kept, at, r)
-        r = minus_row(i, 1, u_indptr, u_indices, upper, u, r, LINES)
+        r = minus_row(row, 1, u_indptr, u_indices, upper, u, r, LINES)
         write(u, at, times(inverse, dim * at, r))
 
 
@@ -86,9 +86,9 @@ def backward_kept(first, last, order, zero, u_indptr, u_indices, upper, inverse,
     """Backward sweep that takes f - L u from ``kept``."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
-        i = np.uint64(order[place])
+        row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(i, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
+        r = minus_row(row, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
         write(u, at, times(inverse, dim * at, r))
 
 
@@ -97,10 +97,10 @@ def backward_full(first, last, order, zero, l_indptr, l_indices, lower, u_indptr
     """Backward sweep from any u."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
-        i = np.uint64(order[place])
+        row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(i, -1, u_indptr, u_indices, upper, u, read(load, at, zero), LINES)
-        r = minus_row(i, -1, l_indptr, l_indices, lower, u, r, LINES)
+        r = minus_row(row, -1, u_indptr, u_indices, upper, u, read(load, at, zero), LINES)
+        r = minus_row(row, -1, l_indptr, l_indices, lower, u, r, LINES)
         write(u, at, times(inverse, dim * at, r))
 
 

@@ -63,17 +63,17 @@ def backward(first, last, order, zero, l_indptr, l_indices, lower, inverse, cont
     """Backward projected sweep; ``kept`` comes as f and becomes f - U u."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
-        i = np.uint64(order[place])
+        row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
         # kept comes last: it is the one to wait for, as the node before has just written to it
-        r = minus_row(i, -1, l_indptr, l_indices, lower, u, zero, LINES)
+        r = minus_row(row, -1, l_indptr, l_indices, lower, u, zero, LINES)
         r = add(read(kept, at, zero), r)
         if likely(contact_of[i] < 0):
             new = times(inverse, dim * at, r)
         else:
             new = solve_at(np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction, values, r)
         write(u, at, new)
-        minus_transposed_row(i, -1, l_indptr, l_indices, lower, new, kept)
+        minus_transposed_row(row, -1, l_indptr, l_indices, lower, new, kept)
 
 
 @kernel(fastmath={"contract"})
@@ -83,9 +83,9 @@ def forward(first, last, order, zero, l_indptr, l_indices, lower, inverse, diago
     the Cartesian diagonal blocks of the contact nodes."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
-        i = np.uint64(order[place])
+        row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(i, 1, l_indptr, l_indices, lower, u, read(kept, at, zero), LINES)
+        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(kept, at, zero), LINES)
         if likely(contact_of[i] < 0):
             new = times(inverse, dim * at, r)
             write(kept, at, zero)
@@ -95,20 +95,20 @@ def forward(first, last, order, zero, l_indptr, l_indices, lower, inverse, diago
             write(kept, at, minus_times(r, diagonal, dim * dim * k, new))
         change = subtract(new, read(u, at, zero))
         write(u, at, new)
-        minus_transposed_row(i, 1, l_indptr, l_indices, lower, change, kept)
+        minus_transposed_row(row, 1, l_indptr, l_indices, lower, change, kept)
 
 
 @kernel
-def energy_product(first, last, zero, l_indptr, l_indices, lower, inverse, new, old):
+def energy_product(first, last, order, zero, l_indptr, l_indices, lower, inverse, new, old):
     """(new - old)' A (new - old) from L and the inverse diagonal blocks: half a pass."""
     dim = np.uint64(len(zero))
     total = 0.0
-    for node in range(first, last):
-        i = np.uint64(node)
+    for place in range(first, last):
+        row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
         change = subtract(read(new, at, zero), read(old, at, zero))
         total += inverse_square(inverse, dim * at, change)
-        for entry in range(np.uint64(l_indptr[i]), np.uint64(l_indptr[i + ONE])):
+        for entry in range(np.uint64(l_indptr[row]), np.uint64(l_indptr[row + ONE])):
             j = dim * np.uint64(l_indices[entry])
             other = subtract(read(new, j, zero), read(old, j, zero))
             total += 2.0 * inner(change, times(lower, dim * dim * entry, other))
@@ -234,7 +234,10 @@ class Interface:
     def __init__(self, level: SplitMatrix, coupling: Coupling) -> None:
         n, dim = level.n_nodes, level.dim
         ones = np.ones(len(level.lower_indices))
-        half = sparse.csr_array((ones, level.lower_indices.astype(np.int32), level.lower_indptr), shape=(n, n))
+        # row by row of the nodes
+        half = sparse.csr_array((np.arange(1, len(ones) + 1), level.lower_indices.astype(np.int32), level.lower_indptr),
+                                shape=(n, n))[level.strips.rank]
+        entries, half = half, sparse.csr_array((ones, half.indices, half.indptr), shape=(n, n))
         reached = (np.diff(coupling.weights.indptr) > 0).astype(float)
         for _ in range(self.LAYERS):
             reached = ((reached + half @ reached + half.T @ reached) > 0).astype(float)
@@ -242,7 +245,6 @@ class Interface:
         place = np.full(n, -1, dtype=np.int32)
         place[self.nodes] = np.arange(len(self.nodes), dtype=np.int32)
         # the rows without diagonal: entries of L, and of L' (negative), whose blocks are transposed
-        entries = sparse.csr_array((np.arange(1, len(ones) + 1), half.indices, half.indptr), shape=(n, n))
         rows = sparse.csr_array(entries[self.nodes] - sparse.csr_array(entries[:, self.nodes].T))
         rows.sort_indices()
         self.indptr, self.indices = rows.indptr.astype(np.int64), rows.indices.astype(np.uint32)

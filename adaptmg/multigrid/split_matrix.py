@@ -30,7 +30,7 @@ class SplitMatrix:
     """A matrix of ``dim`` x ``dim`` blocks in Cartesian components, fixed dofs eliminated."""
 
     dim: int
-    lower_indptr: np.ndarray  # (n_nodes + 1,) int32
+    lower_indptr: np.ndarray  # (n_nodes + 1,) int32: rows in the order of the sweeps
     lower_indices: np.ndarray  # uint32: block columns, ascending in a row
     lower: np.ndarray  # blocks, row by row, flat
     upper_indptr: np.ndarray  # as those of L; empty: U is the transpose of L
@@ -85,9 +85,9 @@ class SplitMatrix:
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Block rows and columns of L, D and U."""
-        own, lower = np.arange(self.n_nodes), self.lower_indices.astype(np.int64)
-        row = np.repeat(own, np.diff(self.lower_indptr))
-        upper = (lower, row) if self.symmetric else (np.repeat(own, np.diff(self.upper_indptr)),
+        own, order, lower = np.arange(self.n_nodes), self.strips.order, self.lower_indices.astype(np.int64)
+        row = np.repeat(order, np.diff(self.lower_indptr))
+        upper = (lower, row) if self.symmetric else (np.repeat(order, np.diff(self.upper_indptr)),
                                                      self.upper_indices.astype(np.int64))
         return [(row, lower), (own, own), upper]
 
@@ -125,7 +125,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     indptr, indices, data = read_only(matrix.indptr), read_only(matrix.indices), matrix.data.reshape(-1)
     strips, size = Strips.of(indptr, indices, dim * dim), len(data)
     lower_indptr, upper_indptr = np.zeros(n + 1, dtype=np.int32), np.zeros(n + 1, dtype=np.int32)
-    in_parts(count, n, size, indptr, indices, strips.rank, lower_indptr, upper_indptr)
+    in_parts(count, n, size, strips.order, indptr, indices, strips.rank, lower_indptr, upper_indptr)
     for counts in (lower_indptr, upper_indptr):
         np.cumsum(counts, out=counts)
     below, above = int(lower_indptr[-1]), int(upper_indptr[-1])
@@ -135,15 +135,15 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     lower_indices, upper_indices = np.empty(below, dtype=np.uint32), np.empty(above, dtype=np.uint32)
     lower, upper = np.empty(below * dim * dim), np.empty(above * dim * dim)
     diagonal, inverse = np.empty(n * dim * dim), np.empty(n * dim * dim)
-    in_parts(distribute, n, size, dim, indptr, indices, data, strips.rank, lower_indptr, lower_indices, lower,
-             upper_indptr, upper_indices, upper, diagonal)
+    in_parts(distribute, n, size, strips.order, dim, indptr, indices, data, strips.rank, lower_indptr, lower_indices,
+             lower, upper_indptr, upper_indices, upper, diagonal)
     dofs = np.flatnonzero(fixed)
     if len(dofs):
         free, held = ~fixed, np.zeros(n, dtype=bool)
         held[dofs // dim] = True
-        mask(dim, lower_indptr, lower_indices, lower, free, held)
+        mask(strips.order, dim, lower_indptr, lower_indices, lower, free, held)
         if not symmetric:
-            mask(dim, upper_indptr, upper_indices, upper, free, held)
+            mask(strips.order, dim, upper_indptr, upper_indices, upper, free, held)
         decouple(dim, diagonal, dofs)
     in_parts(invert_all, n, size, dim, diagonal, inverse)
     return SplitMatrix(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse,
@@ -203,17 +203,18 @@ def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.cs
 
 
 @kernel
-def count(first, last, indptr, indices, rank, lower_counts, upper_counts):
+def count(first, last, order, indptr, indices, rank, lower_counts, upper_counts):
     """Blocks of the rows in both halves, one place further: what row pointers are summed from."""
-    for i in range(first, last):
+    for place in range(first, last):
+        i = order[place]
         below = 0
         above = 0
         for k in range(indptr[i], indptr[i + 1]):
             # no branches: half of them would be mispredicted
-            below += rank[indices[k]] < rank[i]
-            above += rank[indices[k]] > rank[i]
-        lower_counts[i + 1] = below
-        upper_counts[i + 1] = above
+            below += rank[indices[k]] < place
+            above += rank[indices[k]] > place
+        lower_counts[place + 1] = below
+        upper_counts[place + 1] = above
 
 
 @inner_kernel(forceinline=True)
@@ -224,21 +225,22 @@ def _copy(size, k, to, indices, data, own_indices, own):
 
 
 @kernel
-def distribute(first, last, dim, indptr, indices, data, rank, lower_indptr, lower_indices, lower, upper_indptr,
+def distribute(first, last, order, dim, indptr, indices, data, rank, lower_indptr, lower_indices, lower, upper_indptr,
                upper_indices, upper, diagonal):
     """Blocks into L, U (unless it is empty) and D; blocks of a duplicate or missing diagonal are summed or zero."""
     size = dim * dim
     both = len(upper_indptr) > 0
-    for i in range(first, last):
+    for place in range(first, last):
+        i = order[place]
         for c in range(size):
             diagonal[size * i + c] = 0.0
-        below, above = np.int64(lower_indptr[i]), np.int64(upper_indptr[i]) if both else 0
+        below, above = np.int64(lower_indptr[place]), np.int64(upper_indptr[place]) if both else 0
         for k in range(indptr[i], indptr[i + 1]):
             there = rank[indices[k]]
-            if there < rank[i]:
+            if there < place:
                 _copy(size, k, below, indices, data, lower_indices, lower)
                 below += 1
-            elif there == rank[i]:
+            elif there == place:
                 for c in range(size):
                     diagonal[size * i + c] += data[size * k + c]
             elif both:
@@ -247,10 +249,11 @@ def distribute(first, last, dim, indptr, indices, data, rank, lower_indptr, lowe
 
 
 @kernel
-def mask(dim, indptr, indices, data, free, held):
+def mask(order, dim, indptr, indices, data, free, held):
     """Zero rows and columns of fixed dofs in a half; ``held`` tells the nodes that have some."""
-    for i in range(len(indptr) - 1):
-        for k in range(indptr[i], indptr[i + 1]):
+    for place in range(len(indptr) - 1):
+        i = order[place]
+        for k in range(indptr[place], indptr[place + 1]):
             j = np.int64(indices[k])
             if not (held[i] or held[j]):
                 continue

@@ -192,8 +192,8 @@ class TruncatedStep:
         """Square of the A-norm of the difference to other unknowns; half a pass."""
         level = self.level
         self.cycle.recorder.count(0.5, level.nonzeros)
-        return sum_of_parts(projected_sweeps.energy_product, level.n_nodes, len(level.lower), ZERO[level.dim],
-                            *level.lower_arrays, level.inverse, self.unknowns, other)
+        return sum_of_parts(projected_sweeps.energy_product, level.n_nodes, len(level.lower), level.strips.order,
+                            ZERO[level.dim], *level.lower_arrays, level.inverse, self.unknowns, other)
 
     def rounding(self) -> float:
         """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that arithmetic reaches."""

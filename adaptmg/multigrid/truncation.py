@@ -178,7 +178,7 @@ class Truncation:
                  contact: TruncatedContact) -> None:
         self.contact, fine = contact, levels[-1]
         dim = fine.dim
-        row = np.repeat(np.arange(fine.n_nodes), np.diff(fine.lower_indptr))
+        row = np.repeat(fine.strips.order, np.diff(fine.lower_indptr))
         at = np.flatnonzero((contact.contact_of[row] >= 0) | (contact.contact_of[fine.lower_indices] >= 0))
         i, j, below = row[at], fine.lower_indices[at], fine.lower.reshape(-1, dim, dim)[at]
         # blocks in rows and columns of contact nodes: on the diagonal, and of L for both sides
@@ -284,10 +284,10 @@ def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank):
         return below + row
     in_lower = rank[column] < rank[row]
     if in_lower:
-        low, high = np.int64(l_indptr[row]), np.int64(l_indptr[row + 1])
+        low, high = np.int64(l_indptr[rank[row]]), np.int64(l_indptr[rank[row] + 1])
         shift = np.int64(0)
     else:
-        low, high = np.int64(u_indptr[row]), np.int64(u_indptr[row + 1])
+        low, high = np.int64(u_indptr[rank[row]]), np.int64(u_indptr[rank[row] + 1])
         shift = below + n
     while low < high:
         middle = (low + high) // 2

@@ -27,7 +27,7 @@ from scipy.linalg.blas import daxpy
 from scipy.sparse.linalg import splu
 
 from adaptmg._runtime import kernel
-from adaptmg._threads import Strips, in_parts
+from adaptmg._threads import Strips, in_parts, sum_of_parts
 from adaptmg.smoother.blocks import ONE, ZERO, add, in_loop, read, subtract, times, transposed_times, write
 from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 
@@ -157,7 +157,7 @@ class _Preconditioner:
         dim = status.kept.shape[1]
         n = matrix.shape[0] // dim
         self._zero = ZERO[dim]
-        self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim)
+        self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
         diagonal, inverse = np.zeros((n, dim, dim)), np.empty((n, dim, dim))
         in_parts(_inverses, n, matrix.data.size, self._zero, matrix.indptr, matrix.indices, matrix.data, diagonal,
@@ -288,7 +288,11 @@ def _add(factor: float, vector: np.ndarray, to: np.ndarray) -> None:
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.einsum("nd,nd->", a, b))
+    return float(sum_of_parts(_dot_of_rows, len(a), 2 * a.size, a, b))
+
+
+def _dot_of_rows(first: int, last: int, a: np.ndarray, b: np.ndarray) -> float:
+    return np.einsum("nd,nd->", a[first:last], b[first:last])
 
 
 @kernel

@@ -15,17 +15,16 @@ from scipy import sparse
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import kernel, one_blas_thread, read_only, seeded
-from adaptmg._threads import product
+from adaptmg._threads import in_parts, product
 
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
 
 
 @kernel
-def _pattern(a_indptr, a_indices, b_indptr, b_indices, marker, indptr):
-    """Row pointers of the product of two patterns."""
-    marker[:] = -1
-    indptr[0] = 0
-    for i in range(len(a_indptr) - 1):
+def _pattern(first, last, a_indptr, a_indices, b_indptr, b_indices, columns, counts):
+    """Entries of the rows of the product of two patterns, one place further: what row pointers are summed from."""
+    marker = np.full(columns, -1)
+    for i in range(first, last):
         count = 0
         for p in range(a_indptr[i], a_indptr[i + 1]):
             k = a_indices[p]
@@ -33,14 +32,14 @@ def _pattern(a_indptr, a_indices, b_indptr, b_indices, marker, indptr):
                 if marker[b_indices[q]] != i:
                     marker[b_indices[q]] = i
                     count += 1
-        indptr[i + 1] = indptr[i] + count
+        counts[i + 1] = count
 
 
 @kernel
-def _multiply(zero, left, a_indptr, a_indices, a, b_indptr, b_indices, b, place, indptr, indices, data):
-    """C = A B, one of them weights, A if ``left`` is a tuple with an entry, B if it is empty; C comes as 0."""
-    size = len(zero)
-    for i in range(len(a_indptr) - 1):
+def _multiply(first, last, zero, left, a_indptr, a_indices, a, b_indptr, b_indices, b, columns, indptr, indices, data):
+    """Rows of C = A B, one of them weights, A if ``left`` is a tuple with an entry, B if it is empty."""
+    size, place = len(zero), np.full(columns, -1)
+    for i in range(first, last):
         begin = indptr[i]
         end = begin
         for s in range(a_indptr[i], a_indptr[i + 1]):
@@ -55,15 +54,17 @@ def _multiply(zero, left, a_indptr, a_indices, a, b_indptr, b_indices, b, place,
                     place[j] = at
                     indices[at] = j
                     end += 1
+                    for c in range(size):
+                        data[size * at + c] = 0.0
                 for c in range(size):
                     data[size * at + c] += weight * (b[size * q + c] if len(left) else a[size * s + c])
 
 
 @kernel
-def _sort_rows(dim, indptr, indices, data, order, new_indices, new_data, diagonal):
+def _sort_rows(first, last, dim, indptr, indices, data, longest, new_indices, new_data, diagonal):
     """Blocks in the order of their columns, and the ``diagonal`` (rows * dim,) of those on it."""
-    size = dim * dim
-    for i in range(len(indptr) - 1):
+    size, order = dim * dim, np.empty(longest, dtype=np.int32)
+    for i in range(first, last):
         begin, end = indptr[i], indptr[i + 1]
         for s in range(begin, end):
             at = s - begin
@@ -94,7 +95,7 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
     indptr, indices, data = _with_diagonal_blocks(indptr, indices, data.reshape(-1, dim, dim))
     in_order, blocks = np.empty_like(indices), np.empty(data.size)
     diagonal, longest = np.empty(coarse * dim), int(np.diff(indptr).max())
-    _sort_rows(dim, indptr, indices, data.reshape(-1), np.empty(longest, dtype=np.int32), in_order, blocks, diagonal)
+    in_parts(_sort_rows, coarse, data.size, dim, indptr, indices, data.reshape(-1), longest, in_order, blocks, diagonal)
     blocks = blocks.reshape(-1, dim, dim)
     empty = ~(diagonal > 0)
     if empty.any():
@@ -146,12 +147,12 @@ def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weigh
     if left:
         factors, values = factors[::-1], values[::-1]
     # kernels know the number of entries of a block when they are compiled
-    zero, place = (0.0,) * size, np.full(columns, -1, dtype=np.int64)
-    indptr = np.empty(len(factors[0][0]), dtype=np.int64)
-    _pattern(*factors[0], *factors[1], place, indptr)
-    place[:] = -1
-    indices, data = np.empty(indptr[-1], dtype=np.int32), np.zeros(indptr[-1] * size)
-    _multiply(zero, (0.0,) * left, *factors[0], values[0], *factors[1], values[1], place, indptr, indices, data)
+    zero, indptr, rows = (0.0,) * size, np.zeros(len(factors[0][0]), dtype=np.int64), len(factors[0][0]) - 1
+    in_parts(_pattern, rows, len(blocks[2]), *factors[0], *factors[1], columns, indptr)
+    np.cumsum(indptr, out=indptr)
+    indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1] * size)
+    in_parts(_multiply, rows, len(blocks[2]), zero, (0.0,) * left, *factors[0], values[0], *factors[1], values[1],
+             columns, indptr, indices, data)
     return indptr.astype(np.int32), indices, data
 
 

@@ -122,7 +122,8 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
         nodes = slice(None) if body is None else np.flatnonzero(body_of == body)
         found = locator.locate(fine.points[nodes])
         element[nodes], weights[nodes], distance[nodes] = found.element, found.weights, found.distance
-    relative = distance / coarse.element_sizes[element]
+    relative, outside = np.zeros(fine.n_nodes), np.flatnonzero(distance)
+    relative[outside] = distance[outside] / longest_edges(coarse.points[coarse.elements[element[outside]]])
     if (relative > OUTSIDE_TOLERANCE).any():
         node = int(np.argmax(relative))
         raise ValueError(

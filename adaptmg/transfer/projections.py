@@ -305,7 +305,7 @@ def _body_entries(locator: PointLocator, fine: MeshArrays, elements: np.ndarray)
     k = fine.dim + 1
     covered, fine_maps = np.empty(len(elements)), np.empty((len(fine.elements), fine.dim * k))
     fine_points, tree = padded(fine.points), locator.tree
-    affine_maps(fine_points, fine.elements, fine_maps)
+    affine_maps(0, len(fine_maps), fine_points, fine.elements, fine_maps)
     marker = np.full(locator.mesh.n_nodes, -1, dtype=np.int64)
     capacity = 8 * k * len(elements) + 64
     element, columns, values = np.empty(capacity, np.int64), np.empty(capacity, np.int32), np.empty((capacity, k))

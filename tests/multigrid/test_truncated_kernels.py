@@ -127,7 +127,8 @@ def test_projected_half_passes_are_the_smoother(dim, law):
                                    atol=1e-11)
         np.testing.assert_allclose(residual, load - level.matrix() @ u, atol=1e-11)
     other = np.random.default_rng(0).normal(size=u.shape) * ~problem.discrete.fixed
-    product = projected_sweeps.energy_product(0, level.n_nodes, ZERO[dim], *level.lower_arrays, level.inverse, other, u)
+    product = projected_sweeps.energy_product(0, level.n_nodes, level.strips.order, ZERO[dim], *level.lower_arrays,
+                                              level.inverse, other, u)
     assert product == pytest.approx((other - u) @ (level.matrix() @ (other - u)), rel=1e-10)
 
 
