@@ -62,9 +62,10 @@ def start(function: Callable) -> None:
 def _start() -> None:
     if numba.config.NUMBA_NUM_THREADS < 2 or _one_of_many() or _running() >= (os.cpu_count() or 1):
         return
+    paths = os.pathsep.join(filter(None, sys.path))
     child = subprocess.Popen([sys.executable, "-c", f"from adaptmg import _ahead; _ahead.compile_all({os.getpid()})"],
                              stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "NUMBA_NUM_THREADS": "1"})
+                             env=os.environ | {"PYTHONPATH": paths, "NUMBA_NUM_THREADS": "1"})
     atexit.register(_end, child)
 
 
