@@ -66,6 +66,8 @@ def test_the_process_compiles_into_the_cache_without_a_word_and_ends_with_its_pa
         until = time.monotonic() + 60.0
         while parent and not list(tmp_path.rglob("*.nbc")) and time.monotonic() < until:
             time.sleep(0.05)
+        if not parent:
+            child.wait(timeout=60.0)  # its input is open
         assert child.communicate(timeout=60.0) == (b"", None) and child.returncode == 0
     # far from the whole list
     assert bool(parent) <= len(list(tmp_path.rglob("*.nbc"))) < 40
