@@ -2,7 +2,7 @@
 
 The first solve on a machine compiles about 60 kernels, one after another. Where a second core is free, a process of its
 own compiles those of ``_ahead.txt`` from the last to the first into numba's cache, while this one needs them from the
-first to the last and loads what it finds there. The list is written by ``python tests/runtime/test_compiling.py``.
+first to the last and loads what it finds there. ``tests/helpers/first_solve.py`` writes the list.
 
 The process is started by the first kernel of the list that the cache lacks, so that a full cache costs nothing. It
 prints nothing and ends with this one. ``NUMBA_NUM_THREADS=1`` turns it off.
@@ -62,9 +62,10 @@ def start(function: Callable) -> None:
 def _start() -> None:
     if numba.config.NUMBA_NUM_THREADS < 2 or _one_of_many() or _running() >= (os.cpu_count() or 1):
         return
+    paths = os.pathsep.join(filter(None, sys.path))
     child = subprocess.Popen([sys.executable, "-c", f"from adaptmg import _ahead; _ahead.compile_all({os.getpid()})"],
                              stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "NUMBA_NUM_THREADS": "1"})
+                             env=os.environ | {"PYTHONPATH": paths, "NUMBA_NUM_THREADS": "1"})
     atexit.register(_end, child)
 
 

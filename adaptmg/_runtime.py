@@ -21,6 +21,7 @@ import stat
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -75,13 +76,23 @@ class _Flags(Flags):
     __slots__ = ("_key",)
 
     def __hash__(self) -> int:
-        if not hasattr(self, "_key"):
-            self._key = (self.nrt, self.forceinline, self.error_model, self.boundscheck, self.debuginfo,
-                         frozenset(self.fastmath.flags))
-        return hash(self._key)
+        return _HASH
 
     def __eq__(self, other: object) -> bool:
-        return hash(self) == hash(other) and self._key == other._key if isinstance(other, _Flags) else NotImplemented
+        if not isinstance(other, _Flags):
+            return _of_calls(self) == _of_calls(other) if isinstance(other, Flags) else NotImplemented
+        for flags in (self, other):
+            if not hasattr(flags, "_key"):
+                flags._key = _of_calls(flags)
+        return self._key == other._key
+
+
+_HASH = hash(Flags())  # numba's is the same for all
+
+
+def _of_calls(flags: Any) -> tuple[object, ...]:
+    """The flags that are passed on to the functions that a kernel calls, and change them."""
+    return flags.nrt, flags.error_model, flags.boundscheck, flags.debuginfo, frozenset(flags.fastmath.flags)
 
 
 class _Compiler(_FunctionCompiler):
@@ -141,10 +152,14 @@ class _Cache(FunctionCache):
 def _locked(folder: str) -> Iterator[None]:
     """Let one process at a time number its files: numba gives two that save at the same moment the same name."""
     file = -1
-    with suppress(OSError):  # a new folder, or a file system without locks
+    with suppress(OSError):  # a file system without locks, or a process stopped while it saves: go on
         os.makedirs(folder, exist_ok=True)
         file = os.open(folder, os.O_RDONLY)
-        fcntl.flock(file, fcntl.LOCK_EX)
+        for wait in (0.001, 0.01, 0.1, 1.0, 0.0):
+            with suppress(BlockingIOError):
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            time.sleep(wait)
     try:
         yield
     finally:

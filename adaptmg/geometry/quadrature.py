@@ -8,7 +8,6 @@ conical product rules (Stroud 1971).
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import roots_jacobi
 
 PLAIN_DEGREE = 2
 """Linear data times a shape function."""
@@ -54,6 +53,8 @@ def quadrature_points(points: np.ndarray, cells: np.ndarray, rule: np.ndarray) -
 
 def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1."""
+    from scipy.special import roots_jacobi  # a first solve without it starts sooner
+
     shape, weights = np.ones((1, 1)), np.ones(1)
     for level in range(dim):
         # collapse the last coordinate: what is left of the simplex there has measure (1 - x)^level

@@ -22,7 +22,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, facet_table, normalised, swept, trusted
@@ -104,6 +103,8 @@ class SolidSizes:
     def field(self, points: np.ndarray, mesh: MeshArrays, groups: Mapping[str, list[str]], floor: float = 0.0
               ) -> np.ndarray:
         """Edge lengths (n,) at points (n, 3)."""
+        from scipy.spatial import cKDTree  # a first solve without it starts sooner
+
         result = np.full(len(points), self.size)
         if self.function is not None:
             result = np.minimum(result, np.maximum(sizes_at(self.function, points), floor))

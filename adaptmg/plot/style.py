@@ -57,7 +57,8 @@ class _Picture(Figure):
     def draw(self, renderer: RendererBase) -> None:
         """Draw with a layout that has settled: axes of fixed proportions move what stands beside them."""
         before, engine = np.inf, self.get_layout_engine()
-        for _ in range(4 if engine is not None else 0):
+        fixed = any(ax.name == "3d" or ax.get_aspect() != "auto" for ax in self.axes)
+        for _ in range(4 if engine is not None and fixed else 0):
             engine.execute(self)
             places = np.array([ax.get_position(original=True).extents for ax in self.axes])
             if np.abs(places - before).max(initial=0.0) < 1e-3:

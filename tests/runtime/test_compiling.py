@@ -1,47 +1,25 @@
-"""The second process of a first solve: what it compiles, when it starts and that it ends.
-
-``python tests/runtime/test_compiling.py`` writes the list of kernels again.
-"""
+"""The second process of a first solve: what it compiles, when it starts and that it ends. What kernels share."""
 
 import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 
 from adaptmg import _ahead
+from adaptmg._runtime import _Flags
 from adaptmg.mesh import improve
 
-#: the README's ten lines; prints each kernel when it is first called
-FIRST_SOLVE = '''
-import adaptmg as am
-from numba.core.registry import CPUDispatcher
-from adaptmg import _ahead
-called = CPUDispatcher._compile_for_args
-
-def noted(self, *arguments):
-    signature = tuple(map(self.typeof_pyval, arguments))
-    print(self.py_func.__module__, self.py_func.__qualname__, _ahead.encoded(signature))
-    return called(self, *arguments)
-
-CPUDispatcher._compile_for_args = noted
-problem = am.cases.greco_bar(law=am.Coulomb(1.0))
-grids = am.Hierarchy.graded(problem, sizes=(10e-3, 6e-3, 3.6e-3, 2.2e-3), contact_ratio=4)
-result = am.solve(grids)
-result.certificate()
-result.probe([(0.0, 0.0), (0.005, 0.0)])
-'''
+FIRST_SOLVE = Path(__file__).parents[1] / "helpers" / "first_solve.py"
 
 
-def _kernels_of_a_first_solve() -> str:
-    return subprocess.run([sys.executable, "-c", FIRST_SOLVE], capture_output=True, text=True, check=True).stdout
-
-
-def test_the_list_is_what_the_first_solve_compiles_in_its_order():
-    assert _ahead.LIST.read_text() == _kernels_of_a_first_solve(), f"run python {__file__}"
+def test_the_list_is_what_the_first_solve_calls_in_its_order():
+    done = subprocess.run([sys.executable, str(FIRST_SOLVE)], capture_output=True, text=True, check=True)
+    assert _ahead.LIST.read_text() == done.stdout, f"run python {FIRST_SOLVE} > {_ahead.LIST}"
 
 
 def test_signatures_are_read_back():
@@ -52,57 +30,50 @@ def test_signatures_are_read_back():
     assert _ahead.decoded(_ahead.encoded(signature)) == signature
 
 
-@pytest.fixture
-def children(monkeypatch):
-    """The commands of the processes that a miss in the cache starts on two free cores outside of tests."""
+def test_a_listed_kernel_starts_one_process_where_a_core_is_free(monkeypatch):
     started = []
-    monkeypatch.setattr(_ahead.subprocess, "Popen", lambda command, **_: started.append(command))
-    monkeypatch.setattr(_ahead.atexit, "register", lambda *_: None)
-    monkeypatch.setattr(_ahead, "_one_of_many", lambda: False)
-    monkeypatch.setattr(_ahead, "_running", lambda: 1)
-    monkeypatch.setattr(_ahead.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
-    _ahead._start.cache_clear()
-    yield started
-    _ahead._start.cache_clear()
-
-
-def test_a_listed_kernel_starts_one_process_where_a_core_is_free(children, monkeypatch):
-    _ahead.start(test_signatures_are_read_back)
-    assert children == []
-    _ahead.start(improve._swap.py_func)
-    _ahead.start(improve._across.py_func)
-    assert len(children) == 1
-    for where, name, value in ((_ahead, "_one_of_many", lambda: True), (_ahead, "_running", lambda: 2),
-                               (numba.config, "NUMBA_NUM_THREADS", 1)):
-        with monkeypatch.context() as patch:
-            patch.setattr(where, name, value)
-            _ahead._start.cache_clear()
-            _ahead.start(improve._swap.py_func)
-    assert len(children) == 1
+    for where, name, value in ((_ahead.subprocess, "Popen", lambda *command, **_: started.append(command)),
+                               (_ahead.atexit, "register", lambda *_: None), (_ahead.os, "cpu_count", lambda: 2),
+                               (_ahead, "_one_of_many", lambda: False), (_ahead, "_running", lambda: 1),
+                               (numba.config, "NUMBA_NUM_THREADS", 2)):
+        monkeypatch.setattr(where, name, value)
+    try:
+        for where, name, value in ((_ahead, "_one_of_many", lambda: True), (_ahead, "_running", lambda: 2),
+                                   (numba.config, "NUMBA_NUM_THREADS", 1)):
+            with monkeypatch.context() as patch:
+                patch.setattr(where, name, value)
+                _ahead._start.cache_clear()
+                _ahead.start(improve._swap.py_func)
+        _ahead._start.cache_clear()
+        _ahead.start(test_signatures_are_read_back)
+        assert started == []
+        _ahead.start(improve._swap.py_func)
+        _ahead.start(improve._across.py_func)
+        assert len(started) == 1
+    finally:
+        _ahead._start.cache_clear()
 
 
 def test_tests_start_none():
     assert _ahead._one_of_many()
 
 
-@pytest.mark.parametrize("ended", ["input closed", "parent gone"])
-def test_the_process_compiles_into_the_cache_without_a_word_and_ends_with_its_parent(ended, tmp_path):
-    parent = os.getpid() if ended == "input closed" else 0
-    child = subprocess.Popen([sys.executable, "-c", f"from adaptmg import _ahead; _ahead.compile_all({parent})"],
-                             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                             env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)})
-    if parent:
+@pytest.mark.parametrize("parent", [os.getpid(), 0], ids=["input closed", "parent gone"])
+def test_the_process_compiles_into_the_cache_without_a_word_and_ends_with_its_parent(parent, tmp_path):
+    with subprocess.Popen([sys.executable, "-c", f"from adaptmg import _ahead; _ahead.compile_all({parent})"],
+                          stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                          env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}) as child:
         until = time.monotonic() + 60.0
-        while not list(tmp_path.rglob("*.nbc")) and time.monotonic() < until:
+        while parent and not list(tmp_path.rglob("*.nbc")) and time.monotonic() < until:
             time.sleep(0.05)
-        assert list(tmp_path.rglob("*.nbc"))
-        child.stdin.close()
-    assert child.wait(timeout=30.0) == 0
-    assert child.stdout.read() == b""
-    child.stdin.close()
-    child.stdout.close()
+        if not parent:
+            child.wait(timeout=60.0)  # its input is open
+        assert child.communicate(timeout=60.0) == (b"", None) and child.returncode == 0
+    # far from the whole list
+    assert bool(parent) <= len(list(tmp_path.rglob("*.nbc"))) < 40
 
 
-if __name__ == "__main__":
-    _ahead.LIST.write_text(_kernels_of_a_first_solve())
+def test_flags_that_change_nothing_in_a_called_function_do_not_compile_it_again():
+    alike, other = (_Flags(), _Flags()), _Flags()
+    alike[0].no_cpython_wrapper, other.fastmath = True, {"contract"}
+    assert alike[0] == alike[1] and hash(alike[0]) == hash(alike[1]) and alike[0] != other
