@@ -40,7 +40,7 @@ from adaptmg.mesh.netgen_plane import (
     too_large,
     unreachable,
 )
-from adaptmg.mesh.soundness import check_mesh, quality, with_source
+from adaptmg.mesh.soundness import check_mesh, least_angle, with_source
 from adaptmg.mesh.surfaces import Misplaced, Surface, candidates, onto_surfaces, surfaces_of
 from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import (
@@ -248,7 +248,7 @@ def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
         try:
             wanted = sizes.drafts(factor, slower)
             unit = _netgen_mesh(worker, shape, wanted, groups, domain, nodes / factor**3 + curved)
-            if factor > 1 and quality(unit).min_angle < _MIN_ANGLE:
+            if factor > 1 and least_angle(unit.points, unit.elements) < _MIN_ANGLE:
                 continue
             try:
                 unit = (_bisected(worker, unit, shape, sizes, groups, domain) if known is None else
