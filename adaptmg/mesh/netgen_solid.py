@@ -65,7 +65,7 @@ _MAX_GRADING = 0.6
 _ATTEMPTS = (1.0, 0.7, 0.5)
 #: how many times larger than wanted the elements of a draft may be (not powers of two, which would refine levels whose
 #: sizes are halved from one draft), and nodes that it has at least
-_FACTORS, _LEAST = (4.0, 1.8), 30
+_FACTORS, _LEAST = (4.0, 1.8), 100
 # smallest angle of a draft, degrees: elements whose nodes all lie on the boundary keep theirs
 _MIN_ANGLE = 12.0
 _ENDLESS = 1e90
@@ -248,9 +248,9 @@ def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
         try:
             wanted = sizes.drafts(factor, slower)
             unit = _netgen_mesh(worker, shape, wanted, groups, domain, nodes / factor**3 + curved)
-            if factor > 1 and least_angle(unit.points, unit.elements) < _MIN_ANGLE:
-                continue
             try:
+                if factor > 1 and (angle := least_angle(unit.points, unit.elements)) < _MIN_ANGLE:
+                    raise Misplaced(f"it has angles of {angle:.1f} degrees")
                 unit = (_bisected(worker, unit, shape, sizes, groups, domain) if known is None else
                         _refined(unit, shape, sizes, groups, domain, known))
             except Misplaced as error:
