@@ -40,7 +40,7 @@ from adaptmg.mesh.netgen_plane import (
     too_large,
     unreachable,
 )
-from adaptmg.mesh.soundness import check_mesh, least_angle, with_source
+from adaptmg.mesh.soundness import check_mesh, least_angle
 from adaptmg.mesh.surfaces import Misplaced, Surface, candidates, onto_surfaces, surfaces_of
 from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import (
@@ -360,10 +360,10 @@ def _in_planes(mesh: MeshArrays) -> MeshArrays:
 
 
 def ordered(domain: SolidDomain | Box, mesh: MeshArrays) -> MeshArrays:
-    """The checked mesh with its boundaries in the order of the domain, with source."""
+    """The checked mesh with its boundaries in the order of the domain."""
     order = tuple(name for name in domain.boundaries if name in mesh.boundaries)
     labels = np.array([order.index(name) for name in mesh.boundaries])[mesh.facet_labels]
-    return with_source(swept(trusted(replace(mesh, facet_labels=labels, boundaries=order), None, mesh.sound)))
+    return swept(check_mesh(trusted(replace(mesh, facet_labels=labels, boundaries=order), None, mesh.sound)))
 
 
 def check_volume(mesh: MeshArrays, volume: float) -> None:
