@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.bisection.tables import as_initial
@@ -125,9 +125,9 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         mine = {body: boundaries_of(body, names) for body in domain.bodies}
         if names and not isinstance(contact_ratio, Mapping):
             ratios = {body: ratio if mine[body] else 1.0 for body, ratio in ratios.items()}
-        return merged({body: graded(part, sizes[body], mine[body], ratios[body], grading, rounds=rounds,
-                              mesher=mesher)
-                       for body, part in domain.parts.items()})
+        return swept(merged({body: graded(part, sizes[body], mine[body], ratios[body], grading, rounds=rounds,
+                                          mesher=mesher)
+                             for body, part in domain.parts.items()}))
     size = checks.positive("size", size)
     ratio = _ratio(contact_ratio)
     if ratio > 1 and not names:
@@ -256,8 +256,8 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     if isinstance(domain, Assembly):
         fields, limits = (per_body(what, value, domain.bodies)
                           for what, value in (("size_function", size_function), ("max_size", max_size)))
-        return merged({body: sized(part, fields[body], limits[body], rounds, grading=grading, mesher=mesher)
-                       for body, part in domain.parts.items()})
+        return swept(merged({body: sized(part, fields[body], limits[body], rounds, grading=grading, mesher=mesher)
+                             for body, part in domain.parts.items()}))
     max_size = checks.positive("max_size", max_size)
     rounds, mesher = checks.integer("rounds", rounds, 1), checks.choice("mesher", mesher, MESHERS)
     grading = growth(grading)

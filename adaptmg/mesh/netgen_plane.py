@@ -240,7 +240,7 @@ def finished(domain: Domain, mesh: MeshArrays) -> MeshArrays:
     """The mesh with the names of the domain's boundaries in place of edge numbers, checked, with source."""
     mesh = swept(check_mesh(mesh))
     if not isinstance(domain, Outline):
-        return with_source(mesh)
+        return mesh
     names = tuple(dict.fromkeys(domain.boundaries))
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
     # other names leave a mesh sound

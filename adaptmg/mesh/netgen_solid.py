@@ -39,7 +39,7 @@ from adaptmg.mesh.netgen_plane import (
     too_large,
     unreachable,
 )
-from adaptmg.mesh.soundness import check_mesh, quality, with_source
+from adaptmg.mesh.soundness import check_mesh, least_angle
 from adaptmg.mesh.surfaces import Misplaced, Surface, candidates, onto_surfaces, surfaces_of
 from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import (
@@ -64,7 +64,7 @@ _MAX_GRADING = 0.6
 _ATTEMPTS = (1.0, 0.7, 0.5)
 #: how many times larger than wanted the elements of a draft may be (not powers of two, which would refine levels whose
 #: sizes are halved from one draft), and nodes that it has at least
-_FACTORS, _LEAST = (4.0, 1.8), 30
+_FACTORS, _LEAST = (4.0, 1.8), 100
 # smallest angle of a draft, degrees: elements whose nodes all lie on the boundary keep theirs
 _MIN_ANGLE = 12.0
 _ENDLESS = 1e90
@@ -249,9 +249,9 @@ def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
         try:
             wanted = sizes.drafts(factor, slower)
             unit = _netgen_mesh(worker, shape, wanted, groups, domain, nodes / factor**3 + curved)
-            if factor > 1 and quality(unit).min_angle < _MIN_ANGLE:
-                continue
             try:
+                if factor > 1 and (angle := least_angle(unit.points, unit.elements)) < _MIN_ANGLE:
+                    raise Misplaced(f"it has angles of {angle:.1f} degrees")
                 unit = (_bisected(worker, unit, shape, sizes, groups, domain) if known is None else
                         _refined(unit, shape, sizes, groups, domain, known))
             except Misplaced as error:
@@ -361,10 +361,10 @@ def _in_planes(mesh: MeshArrays) -> MeshArrays:
 
 
 def ordered(domain: SolidDomain | Box, mesh: MeshArrays) -> MeshArrays:
-    """The checked mesh with its boundaries in the order of the domain, with source."""
+    """The checked mesh with its boundaries in the order of the domain."""
     order = tuple(name for name in domain.boundaries if name in mesh.boundaries)
     labels = np.array([order.index(name) for name in mesh.boundaries])[mesh.facet_labels]
-    return with_source(swept(trusted(replace(mesh, facet_labels=labels, boundaries=order), None, mesh.sound)))
+    return swept(check_mesh(trusted(replace(mesh, facet_labels=labels, boundaries=order), None, mesh.sound)))
 
 
 def check_volume(mesh: MeshArrays, volume: float) -> None:

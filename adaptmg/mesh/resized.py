@@ -19,14 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.domains import extent, in_edges
 from adaptmg.mesh.drafted import onto_arcs
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_guard import MAX_NODES, Netgen, NetgenUnfinished, netgen
 from adaptmg.mesh.netgen_plane import SizesAt, finished, one_mesh
 from adaptmg.mesh.netgen_solid import CURVATURE, Shape, built_shape, check_volume, in_metres, ordered, shape_tables
-from adaptmg.mesh.soundness import check_mesh, with_source
+from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.step import step_contents, step_shapes
 from adaptmg.mesh.structured import merged, per_body
 from adaptmg.mesh.surfaces import candidates, onto_surfaces, surfaces_of
@@ -79,8 +79,8 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, gra
     grading = checks.positive("grading", grading)
     if isinstance(domain, Assembly):
         mine = per_body("sizes", sizes, domain.bodies)
-        return merged({body: resized(part, mine[body], grading=grading, refinements=refinements)
-                       for body, part in domain.parts.items()})
+        return swept(merged({body: resized(part, mine[body], grading=grading, refinements=refinements)
+                             for body, part in domain.parts.items()}))
     if isinstance(domain, StepFile):
         return _step(domain, sizes, grading, refinements)
     checks.instance("sizes", sizes, PointSizes)
@@ -134,8 +134,8 @@ def _step(domain: StepFile, sizes: PointSizes | Mapping[str, PointSizes], gradin
         for body, shape in step_shapes(worker, domain, contents):
             own = checks.instance(f"sizes[{body!r}]", by_body[body], PointSizes)
             meshes[body] = _attempts(domain, grading, refinements, lambda g, k, shape=shape, own=own:
-                                     with_source(_shape(worker, shape, own, g, k)))
-    return merged(meshes)
+                                     check_mesh(_shape(worker, shape, own, g, k)))
+    return swept(merged(meshes))
 
 
 def _shape(worker: Netgen, shape: Shape, sizes: PointSizes, grading: float, refinements: int) -> MeshArrays:

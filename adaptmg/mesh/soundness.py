@@ -22,7 +22,9 @@ from adaptmg.mesh.arrays import (
     element_facets,
     facet_keys,
     facet_table,
+    longest_edges,
     same_orientation,
+    signed_measures,
     sound_by_construction,
 )
 
@@ -204,9 +206,18 @@ def quality(mesh: MeshArrays) -> MeshQuality:
     dim = mesh.dim
     corners = mesh.points[mesh.elements]
     edges = np.stack([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(dim + 1) for j in range(i)])
-    sides = mesh.points[element_facets(mesh.elements)]
+    angles, measures = _angles(mesh.points, mesh.elements)
+    inradius = dim * mesh.volumes / measures.sum(axis=1)
+    equilateral = 2 * np.sqrt(3.0) if dim == 2 else 2 * np.sqrt(6.0)
+    return MeshQuality(min_angle=float(angles.min()), max_angle=float(angles.max()), h_min=float(edges.min()),
+                       h_max=float(edges.max()), aspect_ratio=float((edges.max(axis=0) / inradius).max() / equilateral))
+
+
+def _angles(points: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (n_pairs, n) between the facets of elements, degrees, and the measures (n, dim + 1) of the facets."""
+    sides = points[element_facets(elements)]
     first = sides[:, :, 1] - sides[:, :, 0]
-    if dim == 2:
+    if points.shape[1] == 2:
         normals = np.stack([first[..., 1], -first[..., 0]], axis=-1)
         measures = np.linalg.norm(normals, axis=-1)
     else:
@@ -214,12 +225,15 @@ def quality(mesh: MeshArrays) -> MeshQuality:
         measures = 0.5 * np.linalg.norm(normals, axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     # between two facets the angle inside is pi minus the one between the outward normals
-    cosines = np.stack([-(normals[:, i] * normals[:, j]).sum(axis=1) for i in range(dim + 1) for j in range(i)])
-    angles = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
-    inradius = dim * mesh.volumes / measures.sum(axis=1)
-    equilateral = 2 * np.sqrt(3.0) if dim == 2 else 2 * np.sqrt(6.0)
-    return MeshQuality(min_angle=float(angles.min()), max_angle=float(angles.max()), h_min=float(edges.min()),
-                       h_max=float(edges.max()), aspect_ratio=float((edges.max(axis=0) / inradius).max() / equilateral))
+    cosines = np.stack([-(normals[:, i] * normals[:, j]).sum(axis=1) for i in range(sides.shape[1]) for j in range(i)])
+    return np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))), measures
+
+
+def least_angle(points: np.ndarray, elements: np.ndarray) -> float:
+    """The smallest angle between facets of some elements, degrees; 0 where one is turned over."""
+    if not (signed_measures(points, elements) > _FLAT * longest_edges(points[elements])**points.shape[1]).all():
+        return 0.0
+    return float(_angles(points, elements)[0].min(initial=180.0))
 
 
 # the boundary this deep inside an element, in barycentric coordinates: the two sides of a curved slit, cut into

@@ -15,7 +15,7 @@ from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen
 from adaptmg.mesh.netgen_solid import Shape, SolidSizes, shape_mesh
-from adaptmg.mesh.soundness import with_source
+from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.structured import boundaries_of, merged, per_body
 from adaptmg.problem.solid_domains import StepFile
 
@@ -71,8 +71,8 @@ def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float]
         for body, shape in step_shapes(worker, domain, contents):
             own = {face: boundary_sizes[f"{body}.{face}"] for face in boundaries_of(body, list(boundary_sizes or {}))}
             sizes = SolidSizes(largest[body], own, grading, size_function, curvature)
-            meshes[body] = with_source(swept(shape_mesh(worker, shape, sizes, domain, _CURVED, mesher)))
-    return merged(meshes)
+            meshes[body] = check_mesh(shape_mesh(worker, shape, sizes, domain, _CURVED, mesher))
+    return swept(merged(meshes))
 
 
 def step_shapes(worker: Netgen, domain: StepFile, contents: Mapping[str, tuple[str, ...]]

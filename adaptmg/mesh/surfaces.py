@@ -18,14 +18,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, longest_edges, signed_measures, trusted
+from adaptmg.mesh.arrays import MeshArrays, trusted
+from adaptmg.mesh.soundness import least_angle
 
 # of solids of unit size: by how much points may miss the surface through them; nodes of a draft theirs
 _EXACT, _NEAR = 1e-9, 1e-6
-# nodes end this near to their surfaces; steps at most; surfaces with this cosine between their normals are one
-_ON, _STEPS, _SAME = 1e-14, 60, 1e-10
-# area or volume that a refined element must have, over its longest edge to the power of the dimension
-_FLAT = 1e-3
+# nodes end this near to their surfaces; steps at most; squared angle between normals below which two surfaces are one
+_ON, _STEPS, _SAME = 1e-13, 60, 1e-16
+#: smallest angle that a refined element must have where nodes moved, degrees, by dimension
+_FLAT = {2: 2.0, 3: 10.0}
 
 
 class Misplaced(ValueError):
@@ -176,7 +177,6 @@ def onto_surfaces(surfaces: Sequence[Surface], mesh: MeshArrays, n_old: int) -> 
 def unless_flat(mesh: MeshArrays, points: np.ndarray) -> MeshArrays:
     """The sound mesh with other points; Misplaced if one of the elements around those that moved became flat."""
     moved = (points != mesh.points).any(axis=1)
-    near = mesh.elements[moved[mesh.elements].any(axis=1)]
-    if not (signed_measures(points, near) > _FLAT * longest_edges(points[near])**mesh.dim).all():
+    if not least_angle(points, mesh.elements[moved[mesh.elements].any(axis=1)]) > _FLAT[mesh.dim]:
         raise Misplaced("elements at a curved boundary became flat")
     return trusted(replace(mesh, points=points, source=None), None, mesh.sound)

@@ -1,15 +1,20 @@
 """Solids: volumes and names survive combining, nodes lie on the surfaces, sizes are achieved, failures are named."""
 
+import itertools
+import logging
 import math
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import adaptmg.mesh.netgen_solid as module
-from adaptmg.mesh import quality
+from adaptmg.mesh import check_mesh, from_step, graded, quality
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
 from adaptmg.mesh.netgen_solid import built_shape, check_volume, solid_mesh
+from adaptmg.mesh.soundness import check_overlap
+from adaptmg.mesh.surfaces import surface_through
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
 
@@ -104,6 +109,93 @@ def test_sizes_along_boundaries_are_achieved(ratio):
     np.testing.assert_allclose(radius, 0.1, rtol=1e-12)
     for name, value in (("bottom", 0), ("top", 1), ("tip", 1.3)):
         assert (mesh.points[mesh.boundary_nodes(name), 2] == value).all()
+
+
+FILLET = Revolution(Outline(vertices=((0.2, 0), (1, 0), (1, 0.2), (0.4, 0.2), (0.3, 0.3), (0.3, 1), (0.2, 1)),
+                            boundaries=("foot", "rim", "flat", "fillet", "neck", "top", "bore"),
+                            arcs={3: (0.4, 0.3)}), 90)
+
+
+def from_fillet(x):
+    """Distance from the torus of the fillet, which touches the plane next to it."""
+    return np.abs(np.hypot(np.hypot(x[:, 0], x[:, 1]) - 0.4, x[:, 2] - 0.3) - 0.1)
+
+
+@pytest.mark.parametrize(("solid", "size", "contact", "gap"), [
+    (Cylinder((0, 0, 0), (0, 0, 1), 0.5, 1), 0.05, "bottom",
+     {"side": lambda x: np.abs(np.hypot(x[:, 0], x[:, 1]) - 0.5), "top": lambda x: np.abs(x[:, 2] - 1)}),
+    (OCTANT, 0.05, "surface", {"surface": lambda x: np.abs(np.linalg.norm(x - (0, 0, 1), axis=1) - 1)}),
+    (FILLET, 0.05, "flat", {"fillet": from_fillet, "flat": lambda x: np.abs(x[:, 2] - 0.2)}),
+], ids=["cylinder", "octant", "fillet"])
+def test_a_small_draft_is_refined_to_the_sizes_and_its_nodes_lie_on_the_faces(solid, size, contact, gap, monkeypatch):
+    drafts, original = [], module._netgen_mesh
+    monkeypatch.setattr(module, "_netgen_mesh", lambda *given: drafts.append(original(*given)) or drafts[-1])
+    mesh = graded(solid, size, contact, 1.5)
+    assert drafts[-1].n_nodes < mesh.n_nodes / 3
+    check_overlap(check_mesh(replace(mesh, source=None)))
+    for name, distance in gap.items():
+        # nodes of Netgen's draft lie on crossings of faces within its tolerance
+        assert distance(mesh.points[mesh.boundary_nodes(name)]).max() < 1e-7
+    lengths = edge_lengths(mesh, contact) * 1.5 / size
+    assert lengths.max() < 2.2 and 0.7 < np.median(lengths) < 1.3
+    assert quality(mesh).min_angle > 10
+    shape = shape_of(solid)
+    assert mesh.volumes.sum() == pytest.approx(shape.volume * shape.scale**3, rel=0.02)
+
+
+def _patch(place):
+    """Points and unit normals of a parametrised surface, by central differences of complete accuracy."""
+    u, v = (a.ravel() for a in np.meshgrid([0.1, 0.6, 1.1, 1.6], [0.02, 0.09, 0.15]))
+    along, across = ((place(u + a, v + b) - place(u - a, v - b)) for a, b in ((1e-3, 0), (0, 1e-3)))
+    normals = np.cross(along, across)
+    return place(u, v), normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
+@pytest.mark.parametrize(("place", "known"), [
+    (lambda u, v: np.stack([1 + u, 2 + v, u + v], axis=1), True),
+    (lambda u, v: np.stack([3 * np.cos(u), 3 * np.sin(u), 7 + v], axis=1), True),
+    (lambda u, v: np.stack([(1 + v) * np.cos(u), (1 + v) * np.sin(u), 2 * v - 5], axis=1), True),
+    (lambda u, v: np.stack([np.cos(u) * np.cos(v), 4 + np.sin(u) * np.cos(v), np.sin(v)], axis=1), True),
+    (lambda u, v: np.stack([(2 + np.cos(v)) * np.cos(u), (2 + np.cos(v)) * np.sin(u), np.sin(v)], axis=1), True),
+    (lambda u, v: np.stack([np.cos(u), 2 * np.sin(u), v], axis=1), False),
+    (lambda u, v: np.stack([u, v, u * v], axis=1), False),
+    (lambda u, v: np.stack([u, v, np.full(len(u), np.nan)], axis=1), False),
+], ids=["plane", "cylinder", "cone", "sphere", "torus", "elliptic", "saddle", "nan"])
+def test_surfaces_are_found_from_points_and_normals(place, known):
+    points, normals = _patch(place)
+    surface = surface_through(points, normals)
+    assert (surface is not None) == known
+    if known:
+        gaps, gradients = surface.gaps(points + 1e-3 * normals)
+        np.testing.assert_allclose(np.abs(gaps), 1e-3, rtol=1e-5)
+        np.testing.assert_allclose(np.abs((gradients * normals).sum(axis=1)), 1, rtol=1e-6)
+
+
+def test_faces_of_an_unknown_kind_are_left_to_netgen(tmp_path, caplog):
+    from netgen import occ
+
+    edge = occ.SplineApproximation([occ.Pnt(x, 1 + 0.2 * math.sin(3 * x), 0) for x in np.linspace(0, 1, 9)])
+    corners = [occ.Pnt(1, 1 + 0.2 * math.sin(3), 0), occ.Pnt(1, 0, 0), occ.Pnt(0, 0, 0), occ.Pnt(0, 1, 0)]
+    wire = occ.Wire([edge, *(occ.Segment(a, b) for a, b in itertools.pairwise(corners))])
+    occ.Face(wire).Extrude(occ.Vec(0, 0, 1)).WriteStep(str(tmp_path / "wavy.step"))
+    with caplog.at_level(logging.INFO, logger=module.__name__):
+        mesh = from_step(tmp_path / "wavy.step", 0.1e-3)
+    assert "faces other than planes, cylinders" in caplog.text
+    check_mesh(replace(mesh, source=None))
+    assert 400 < mesh.n_nodes < 8000
+
+
+def test_a_draft_whose_nodes_do_not_reach_the_faces_gives_way(monkeypatch, caplog):
+    def astray(*_):
+        raise module.Misplaced("7 nodes do not reach the surfaces of their faces")
+
+    monkeypatch.setattr(module, "onto_surfaces", astray)
+    with caplog.at_level(logging.INFO, logger=module.__name__):
+        mesh = graded(OCTANT, 0.12, "surface", 1.5)
+    for factor in (1.8, 1):
+        assert f"sizes times {factor} is not refined: 7 nodes" in caplog.text
+    np.testing.assert_allclose(np.linalg.norm(mesh.points[mesh.boundary_nodes("surface")] - (0, 0, 1), axis=1), 1,
+                               atol=1e-7)
 
 
 def test_netgen_is_given_a_second_chance(monkeypatch):
