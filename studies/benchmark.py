@@ -161,7 +161,7 @@ def rows_of(out: Output) -> list[tuple[str, float, str]]:
                  (f"new process, {row['cache']} kernel cache: import (wall)", row["import_s"], "s")]
     gains = out.folder.parent / "adaptive_vs_uniform" / "gains.csv"
     for row in pd.read_csv(gains).to_dict("records") if gains.exists() else ():
-        rows.append((f"{row['problem']} at {row['energy error']:.2g} %: uniform over remeshed",
+        rows.append((f"{row['problem']} at {row['error']:.2g} %: uniform over remeshed",
                      float(row["remeshed"].split(" / ")[1]), "seconds"))
     return rows
 

@@ -77,7 +77,7 @@ def study(out: Output) -> None:
               units={"pressure": "MPa", "bolt force": "MN", "joint force": "MN", "thrust": "MN", "opening": "µm",
                      "open to": "mm", "sealing pressure": "MPa"})
     out.number("Bolted junction: pressure at which it leaks", f"{leak:.2f} MPa")
-    figure, ax = drawing()
+    figure, ax = drawing(4.2, 7.2)
     for name in ("bolt force", "joint force", "thrust"):
         ax.plot(rows["pressure"], rows[name], "o-", label=name)
     ax.axvline(leak, color="k", linestyle="--", label=f"leaks, {leak:.2f} MPa")

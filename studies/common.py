@@ -187,8 +187,8 @@ def timed(hierarchy: am.Hierarchy, solver: Any, **options: Any) -> tuple[am.Resu
     return result, cpu(lambda: am.solve(hierarchy, solver, throw=False))
 
 
-def drawing(height: float = 3.2, width: float = 7.2) -> tuple[Figure, Axes]:
-    """A figure with room for a legend outside; as wide as half the page (4.6 inches: as a card)."""
+def drawing(height: float = 3.2, width: float = 11.4) -> tuple[Figure, Axes]:
+    """A figure with room for a legend outside; as wide as the page (7.2 inches: with one next to it; 4.6: a card)."""
     return plt.subplots(figsize=(width, height), layout="constrained")
 
 

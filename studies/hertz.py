@@ -55,7 +55,7 @@ def study(out: Output) -> None:
     out.figure("errors", figure, "Errors of peak pressure and half-width against the fineness at contact")
     last = table[table["fineness"] == fineness[-1]]
     out.number(f"Hertz and Cattaneo, {fineness[-1]} edges on a half-width: error of half-width; of peak pressure",
-               f"{last['a_error'].abs().max():.1%}; {last['peak_error'].abs().max():.1%}")
+               f"{last['a_error'].abs().max():.2%}; {last['peak_error'].abs().max():.2%}")
     out.check("largest error of the half-width on the finest meshes", float(last["a_error"].abs().max()), high=0.03)
 
 
