@@ -40,19 +40,14 @@ def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
         script, killed, serial = (Path(folder, name) for name in ("script.py", "killed.sqlite", "serial.sqlite"))
         script.write_text(SCRIPT, encoding="utf-8")
         for k in range(kills):
-            process = _started(script, killed, runs, 2)
-            end = time.monotonic() + 240
-            while len(_records(killed)) <= k and time.monotonic() < end:
-                time.sleep(0.02)
-            time.sleep(chance.uniform(0.0, 0.3))
-            children = psutil.Process(process.pid).children(recursive=True)
-            assert process.poll() is None and children
-            if k % 2:
+            process = _in_the_middle(script, killed, runs, k)
+            time.sleep(chance.uniform(0.0, 0.1))
+            children = _children(process)
+            if k % 2 and children:
                 with contextlib.suppress(psutil.NoSuchProcess):
                     chance.choice(children).kill()
                 time.sleep(chance.uniform(0.0, 1.0))
-                with contextlib.suppress(psutil.NoSuchProcess):
-                    children += psutil.Process(process.pid).children(recursive=True)
+                children += _children(process)
                 process.kill()
             else:
                 os.killpg(process.pid, signal.SIGKILL)
@@ -68,6 +63,24 @@ def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
 def _started(script: Path, path: Path, runs: int, workers: int) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, str(script), str(path), str(runs), str(workers)],
                             stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+def _children(process: subprocess.Popen) -> list[psutil.Process]:
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return psutil.Process(process.pid).children(recursive=True)
+    return []
+
+
+def _in_the_middle(script: Path, path: Path, runs: int, count: int) -> subprocess.Popen:
+    """Start the study, and return its process when more than ``count`` runs are stored and others go on."""
+    for _ in range(5):
+        process = _started(script, path, runs, 2)
+        while process.poll() is None:
+            if count < len(_records(path)) < runs:
+                return process
+            time.sleep(0.02)
+        path.unlink()  # all was done: begin again
+    raise AssertionError("the study always ended before it could be killed")
 
 
 def _records(path: Path) -> dict:

@@ -14,7 +14,7 @@ def _polygon(*vertices: tuple[float, float]) -> am.Polygon:
 
 def _meshed(domain):
     """With little time; in the child only, which this table has to itself."""
-    netgen_guard.LIMIT_S.update({2: 2.0, 3: 8.0})
+    netgen_guard.LIMIT_S.update({2: 1.0, 3: 3.0})
     graded(domain, 0.2)
 
 

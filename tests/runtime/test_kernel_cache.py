@@ -59,10 +59,14 @@ def test_kernels_run_where_nothing_can_be_written_at_all(package):
     assert "compiled kernels are not kept" in said and said.count("\n") == 1
 
 
-def test_a_damaged_cache_is_compiled_again(package):
+def test_compiling_is_announced_once_and_a_damaged_cache_is_compiled_again(package):
+    """On a terminal as it is, else in the log; not for kept kernels."""
     folder, run = package
+    terminal = "import sys; sys.stderr.isatty = lambda: True\n"
+    log = "import logging; logging.basicConfig(format='%(message)s', level=logging.INFO)\n"
+    assert run(terminal).startswith("adaptmg: compiling kernels (first use")
+    assert run(terminal) == ""
     cache = folder / "__pycache__"
-    run()
     files = sorted(cache.glob("search.*.nb[ic]"))
     assert {file.suffix for file in files} == {".nbi", ".nbc"}
     damages = (lambda b: b"", lambda b: b[:len(b) // 2], lambda b: b"\0junk" * 100)
@@ -73,7 +77,9 @@ def test_a_damaged_cache_is_compiled_again(package):
     assert {file.suffix for file in damaged} == {".nbi", ".nbc"}
     for k, file in enumerate(damaged):
         file.write_bytes(damages[k % 3](file.read_bytes()))
-    assert run().count("cannot be read") >= len(damaged) / 2  # what is inlined is not asked for by itself
+    said = run(log)
+    assert said.count("cannot be read") >= len(damaged) / 2  # what is inlined is not asked for by itself
+    assert said.count("compiling kernels (first use") == 1 and "adaptmg: compiling" not in said
     assert run() == "", "what is compiled again is kept"
 
 
@@ -85,13 +91,3 @@ def test_a_cache_that_cannot_be_written_is_left_out(package):
     said = run(full)
     assert "No space left on device" in said and "cannot be written" in said
     assert run() == ""
-
-
-def test_compiling_is_announced_once_on_a_terminal_else_in_the_log_and_not_for_kept_kernels(package):
-    folder, run = package
-    terminal = "import sys; sys.stderr.isatty = lambda: True\n"
-    assert run(terminal).startswith("adaptmg: compiling kernels (first use")
-    assert run(terminal) == ""
-    shutil.rmtree(folder / "__pycache__")
-    said = run("import logging; logging.basicConfig(format='%(message)s', level=logging.INFO)\n")
-    assert said.startswith("compiling kernels (first use") and said.count("\n") == 1
