@@ -45,11 +45,13 @@ class _Threads:
         if self.number > 1 and self.pool is None:
             self.pool = ThreadPoolExecutor(self.number - 1, thread_name_prefix="adaptmg")
         others = [self.pool.submit(task) for _ in range(self.number - 1)]
-        task()
-        for other in others:
-            # one that has not begun finds nothing left to do
-            if not other.cancel():
-                other.result()
+        try:
+            task()
+        finally:
+            for other in others:
+                # one that has not begun finds nothing left to do
+                if not other.cancel():
+                    other.result()
 
 
 _THREADS = _Threads()
@@ -97,23 +99,21 @@ def _tasks_at_a_time() -> int:
 def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, joined: bool = True) -> list[Any]:
     """What ``kernel(first, last, *arguments)`` returns for parts of n rows: one unless they read LARGE numbers
     (``size``) together, else one a thread, or PARTS if they are not ``joined``, as where a row depends on others."""
-    return _shared(_parts(n, size), kernel, arguments, joined)
+    if size < LARGE:
+        return [kernel(0, n, *arguments)]
+    return _shared([(n * k // PARTS, n * (k + 1) // PARTS) for k in range(PARTS)], kernel, arguments, joined)
 
 
 def sum_of_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object) -> Any:
     """The sum of what ``kernel(first, last, *arguments)`` returns for parts that do not depend on the threads."""
-    return np.sum(in_parts(kernel, n, size, *arguments, joined=False), axis=0)
-
-
-def _parts(n: int, size: int) -> list[tuple[int, int]]:
-    count = PARTS if size >= LARGE else 1
-    return [(n * k // count, n * (k + 1) // count) for k in range(count)]
+    found = in_parts(kernel, n, size, *arguments, joined=False)
+    return found[0] if len(found) == 1 else np.sum(found, axis=0)
 
 
 def _shared(ranges: Sequence[tuple[int, int]], kernel: Callable[..., Any], arguments: tuple[object, ...],
             joined: bool = False) -> list[Any]:
     """Results for the ranges, which may be ``joined``, those of each thread to one, if they follow one another."""
-    if joined:
+    if joined and len(ranges) > 1:
         count = min(_THREADS.number, len(ranges))
         ends = [len(ranges) * k // count for k in range(count + 1)]
         ranges = [(ranges[first][0], ranges[last - 1][1]) for first, last in pairwise(ends)]
@@ -200,6 +200,9 @@ class Strips:
 
     def sweep(self, kernel: Callable[..., Any], *arguments: object, backward: bool = False) -> None:
         """Call ``kernel(first, last, order, *arguments)``, which sweeps over these places, for all strips."""
+        if len(self.colours) == 1:  # quick for small matrices
+            kernel(0, len(self.order), self.order, *arguments)
+            return
         for ranges in self.colours[::-1] if backward else self.colours:
             _shared(ranges, kernel, (self.order, *arguments), joined=True)
 
