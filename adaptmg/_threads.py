@@ -133,11 +133,12 @@ def scattering(columns: np.ndarray, starts: np.ndarray | None = None, size: int 
     """Ranges of rows in two colours: those of a colour write to different ``columns``, given row by row (row k from
     ``starts[k]`` on, or all rows are as long). One range if they read few numbers (``size``), or where the order of
     rows and columns has little to do with each other."""
-    n = len(columns) if starts is None else len(starts) - 1
+    if starts is None:
+        starts = np.arange(len(columns) + 1) * columns.shape[1]
+    n, flat = len(starts) - 1, columns.reshape(-1)
     bounds = [n * k // PARTS for k in range(PARTS + 1)]
-    if size >= LARGE:
-        flat = columns.reshape(-1)
-        at = np.array(bounds[:-1]) * (len(flat) // n) if starts is None else starts[bounds[:-1]]
+    if size >= LARGE and (np.diff(starts[bounds]) > 0).all():
+        at = starts[bounds[:-1]]
         least, most = np.minimum.reduceat(flat, at), np.maximum.reduceat(flat, at)
         if (most[:-2] < least[2:]).all():
             ranges = list(pairwise(bounds))
@@ -152,6 +153,8 @@ def in_colours(colours: list[list[tuple[int, int]]], kernel: Callable[..., Any],
 
 def product(matrix: sparse.bsr_array, vector: np.ndarray, of: Callable[[Any], Any] | None = None) -> np.ndarray:
     """A v (n,), or f(A) v with ``of`` the function f of the rows of A."""
+    if matrix.data.size < LARGE:
+        return (matrix if of is None else of(matrix)) @ vector
     dim, result = matrix.blocksize[0], np.empty(matrix.shape[0])
 
     def multiply(first: int, last: int) -> None:
