@@ -45,11 +45,13 @@ class _Threads:
         if self.number > 1 and self.pool is None:
             self.pool = ThreadPoolExecutor(self.number - 1, thread_name_prefix="adaptmg")
         others = [self.pool.submit(task) for _ in range(self.number - 1)]
-        task()
-        for other in others:
-            # one that has not begun finds nothing left to do
-            if not other.cancel():
-                other.result()
+        try:
+            task()
+        finally:
+            for other in others:
+                # one that has not begun finds nothing left to do
+                if not other.cancel():
+                    other.result()
 
 
 _THREADS = _Threads()
@@ -97,23 +99,21 @@ def _tasks_at_a_time() -> int:
 def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, joined: bool = True) -> list[Any]:
     """What ``kernel(first, last, *arguments)`` returns for parts of n rows: one unless they read LARGE numbers
     (``size``) together, else one a thread, or PARTS if they are not ``joined``, as where a row depends on others."""
-    return _shared(_parts(n, size), kernel, arguments, joined)
+    if size < LARGE:
+        return [kernel(0, n, *arguments)]
+    return _shared([(n * k // PARTS, n * (k + 1) // PARTS) for k in range(PARTS)], kernel, arguments, joined)
 
 
 def sum_of_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object) -> Any:
     """The sum of what ``kernel(first, last, *arguments)`` returns for parts that do not depend on the threads."""
-    return np.sum(in_parts(kernel, n, size, *arguments, joined=False), axis=0)
-
-
-def _parts(n: int, size: int) -> list[tuple[int, int]]:
-    count = PARTS if size >= LARGE else 1
-    return [(n * k // count, n * (k + 1) // count) for k in range(count)]
+    found = in_parts(kernel, n, size, *arguments, joined=False)
+    return found[0] if len(found) == 1 else np.sum(found, axis=0)
 
 
 def _shared(ranges: Sequence[tuple[int, int]], kernel: Callable[..., Any], arguments: tuple[object, ...],
             joined: bool = False) -> list[Any]:
     """Results for the ranges, which may be ``joined``, those of each thread to one, if they follow one another."""
-    if joined:
+    if joined and len(ranges) > 1:
         count = min(_THREADS.number, len(ranges))
         ends = [len(ranges) * k // count for k in range(count + 1)]
         ranges = [(ranges[first][0], ranges[last - 1][1]) for first, last in pairwise(ends)]
@@ -133,11 +133,12 @@ def scattering(columns: np.ndarray, starts: np.ndarray | None = None, size: int 
     """Ranges of rows in two colours: those of a colour write to different ``columns``, given row by row (row k from
     ``starts[k]`` on, or all rows are as long). One range if they read few numbers (``size``), or where the order of
     rows and columns has little to do with each other."""
-    n = len(columns) if starts is None else len(starts) - 1
+    if starts is None:
+        starts = np.arange(len(columns) + 1) * columns.shape[1]
+    n, flat = len(starts) - 1, columns.reshape(-1)
     bounds = [n * k // PARTS for k in range(PARTS + 1)]
-    if size >= LARGE:
-        flat = columns.reshape(-1)
-        at = np.array(bounds[:-1]) * (len(flat) // n) if starts is None else starts[bounds[:-1]]
+    if size >= LARGE and (np.diff(starts[bounds]) > 0).all():
+        at = starts[bounds[:-1]]
         least, most = np.minimum.reduceat(flat, at), np.maximum.reduceat(flat, at)
         if (most[:-2] < least[2:]).all():
             ranges = list(pairwise(bounds))
@@ -152,6 +153,8 @@ def in_colours(colours: list[list[tuple[int, int]]], kernel: Callable[..., Any],
 
 def product(matrix: sparse.bsr_array, vector: np.ndarray, of: Callable[[Any], Any] | None = None) -> np.ndarray:
     """A v (n,), or f(A) v with ``of`` the function f of the rows of A."""
+    if matrix.data.size < LARGE:
+        return (matrix if of is None else of(matrix)) @ vector
     dim, result = matrix.blocksize[0], np.empty(matrix.shape[0])
 
     def multiply(first: int, last: int) -> None:
@@ -200,6 +203,9 @@ class Strips:
 
     def sweep(self, kernel: Callable[..., Any], *arguments: object, backward: bool = False) -> None:
         """Call ``kernel(first, last, order, *arguments)``, which sweeps over these places, for all strips."""
+        if len(self.colours) == 1:  # quick for small matrices
+            kernel(0, len(self.order), self.order, *arguments)
+            return
         for ranges in self.colours[::-1] if backward else self.colours:
             _shared(ranges, kernel, (self.order, *arguments), joined=True)
 

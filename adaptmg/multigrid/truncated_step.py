@@ -270,7 +270,7 @@ class Recombination:
             n = len(self.residuals.now)
             # it computes more than it reads
             sums = sum_of_parts(_sums, n // self.dim, 20 * n, self.dim, inverse, ring.flat, ring.places(self.past))
-            _fit(sums, self._alpha)
+            _fit(np.asarray(sums), self._alpha)
         return self._alpha
 
     def combine(self, alpha: np.ndarray, result: np.ndarray) -> None:
