@@ -82,15 +82,12 @@ def random_pair(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
     slave = "upper" if rng.random() < 0.5 else "lower"
     faces = ("upper.bottom", "lower.top")
     problem = am.ContactProblem(
-        name="two bodies",
-        domain=am.Assembly(parts=parts),
+        name="two bodies", domain=am.Assembly(parts=parts), law=law,
         material={name: am.PlaneStrain(young=value, poisson=0.3) for name, value in young.items()},
         contact=am.ContactPair(*(faces if slave == "upper" else faces[::-1])),
-        law=law,
         loads=(am.Pressure("upper.top", float(rng.uniform(1e7, 1e8))),
                am.Pressure("upper.left", float(rng.uniform(-1e8, 2e8)))),
-        supports=(am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0)),
-    )
+        supports=(am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0)))
     nested = bool(rng.random() < 0.5)
     ratio = float(rng.uniform(0.7, 1.5))
     if nested:
