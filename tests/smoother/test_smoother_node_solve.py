@@ -8,7 +8,7 @@ from smoother_problems import spd
 
 from adaptmg.smoother.node_solve import _inside, slip_3d, solve_2d, solve_3d
 
-EXAMPLES = settings(max_examples=150, deadline=None)
+EXAMPLES = settings(max_examples=100, deadline=None)
 BOUNDS = {"frictionless": (0.0, 0.0), "tresca": (1.0, 0.0), "coulomb": (0.0, 1.0), "both": (1.0, 1.0)}
 laws = st.sampled_from(sorted(BOUNDS))
 seeds = st.integers(0, 2**32 - 1)

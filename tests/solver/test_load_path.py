@@ -39,7 +39,7 @@ def cycle(rough: am.Hierarchy) -> am.PathResult:
 @pytest.fixture(scope="module")
 def bodies() -> am.Hierarchy:
     """A block pressed on a wider one and pushed along it."""
-    return bar_hierarchy(bar_on_block(am.Coulomb(0.3)))
+    return bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 2)
 
 
 def pulled(law: am.problem.Law = am.Coulomb(0.3)) -> am.Hierarchy:  # noqa: B008
@@ -86,7 +86,7 @@ class TestSteps:
 
     @pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(1.0)], ids=["smooth", "rough"])
     def test_proportional_loading_is_one_step_and_cheap(self, law):
-        grids = bar(law, 32)
+        grids = bar(law)
         path = am.solve_path(grids, am.LoadPath(default=np.linspace(0.2, 1, 5)), FINE)
         assert distance(path[-1], am.solve(grids, FINE)) <= 1e-9
         cheap, scratch = am.solve_path(grids, am.LoadPath(default=np.linspace(0.2, 1, 5))), am.solve(grids)
