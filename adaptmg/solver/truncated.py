@@ -53,7 +53,7 @@ class TruncatedIteration(StopTest):
 
     #: the energy of the coarse correction misses what the smoothing removes, and all the corrections that follow: the
     #: error is up to the larger of SAFETY and TAIL / (1 - rate) times larger
-    SAFETY, TAIL = 2.0, 1.5
+    SAFETY, TAIL = 3.0, 1.5
     #: the least rate that is believed before this many ratios of energies
     EARLY_RATE, EARLY = 0.3, 3
     #: safe cycles at most, before the iteration is in trouble
