@@ -3,8 +3,8 @@
 Kernels are compiled once per machine. numba keeps them next to the source or in the home directory; where neither can
 be written they go to a folder of this user for temporary files, and a damaged or full cache costs a compilation, not
 the run. numba builds a way in from Python and one from C for each function: the second is never used, and the first
-only for functions that Python calls, so the first solve on a machine compiles a tenth less without them. Another fifth
-is saved by :class:`_Compiler`, and :mod:`adaptmg._ahead` compiles on a second core.
+only for functions that Python calls, so the first solve on a machine compiles a tenth less without them. Nor is what
+kernels call compiled for each of them (:class:`_Flags`), and :mod:`adaptmg._ahead` compiles on a second core.
 
 BLAS runs on one thread inside the package: sums over two threads differ in the last digits, and small dense
 factorisations lose more to starting threads than they gain.
@@ -96,7 +96,7 @@ def _of_calls(flags: Any) -> tuple[object, ...]:
 
 
 class _Compiler(_FunctionCompiler):
-    """Compiles a kernel without looking for garbage meanwhile, which takes a tenth of the time."""
+    """Compiles a kernel without looking for garbage meanwhile, which takes a twentieth of the time."""
 
     def _customize_flags(self, flags: Flags) -> Flags:
         return _Flags(flags)
