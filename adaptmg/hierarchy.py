@@ -152,7 +152,7 @@ class Hierarchy:
             See :meth:`from_meshes`.
         mesher : {"bisection", "netgen"}
             What makes small elements: bisection of a coarse mesh of Netgen, one a level, and improvement of shapes; or
-            Netgen alone, which takes ten times as long. Solids other than boxes are left to Netgen.
+            Netgen alone, which takes ten times as long.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import graded

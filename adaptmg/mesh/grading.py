@@ -55,8 +55,8 @@ _NETGEN_RATIO = 16.0
 _FURTHER, _FACTOR = 8.0, 0.85
 #: how many times larger than wanted the elements of a draft may be by dimension, nodes that it has at least, and
 #: the least mean shape of its elements (long ones across thin parts keep theirs when they are refined);
-#: in 3D not powers of two, which would refine levels whose sizes are halved from one draft
-_FACTORS, _LEAST, _SHAPES = {2: (8, 4, 1), 3: (4, 1.8, 1)}, {2: 300, 3: 30}, {2: 0.75, 3: 0.55}
+#: near powers of two, whose children fit best, but not these: levels with halved sizes would come from one draft
+_FACTORS, _LEAST, _SHAPES = {2: (8.2, 3.9, 2.05, 1), 3: (4, 1.8, 1)}, {2: 100, 3: 30}, {2: 0.75, 3: 0.55}
 #: elements across a body by default, coarse to fine, and along a plane contact boundary of the finest mesh
 _ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, 64
 # by how much coarser still the mesh is at whose nodes and centroids Netgen is given the sizes of a draft

@@ -26,7 +26,7 @@ _EXACT, _NEAR = 1e-9, 1e-6
 # nodes end this near to their surfaces; steps at most; squared angle between normals below which two surfaces are one
 _ON, _STEPS, _SAME = 1e-13, 60, 1e-16
 #: smallest angle that a refined element must have where nodes moved, degrees, by dimension
-_FLAT = {2: 2.0, 3: 10.0}
+_FLAT = {2: 0.1, 3: 10.0}
 
 
 class Misplaced(ValueError):

@@ -7,6 +7,7 @@ import pytest
 from refused import refused
 
 from adaptmg.mesh import MeshArrays, SizeNear, check_mesh, graded, merged, quality, sized, structured
+from adaptmg.mesh.arrays import swept
 from adaptmg.mesh.domains import distance_to_boundaries, require_simple
 from adaptmg.problem import Assembly, Box, Outline, Rectangle
 
@@ -86,7 +87,7 @@ class TestOutline:
 def test_each_body_is_meshed_apart_and_without_contact_alone():
     mesh = graded(TWO, {"upper": 0.2, "lower": 0.4}, ("upper.bottom", "lower.top"), {"upper": 4, "lower": 2})
     assert check_mesh(mesh, TWO.boundaries) is mesh and mesh.bodies == TWO.bodies and mesh.source.nv == mesh.n_nodes
-    alone = merged({"upper": graded(UPPER, 0.2, "bottom", 4), "lower": graded(LOWER, 0.4, "top", 2)})
+    alone = swept(merged({"upper": graded(UPPER, 0.2, "bottom", 4), "lower": graded(LOWER, 0.4, "top", 2)}))
     np.testing.assert_array_equal(mesh.points, alone.points)
     np.testing.assert_array_equal(mesh.elements, alone.elements)
     mesh = graded(TWO, 0.4, "upper.bottom", 8)
