@@ -65,7 +65,9 @@ def main() -> int:
             shutil.rmtree(out / name, ignore_errors=True)
     options = ["--quick"] * arguments.quick + ["--full"] * arguments.full + ["--out", str(out)]
     failed = run_all(sorted(names, key=lambda name: -known[name]), options, out, arguments.workers)
-    if arguments.record:
+    if arguments.record and failed:
+        say(f"nothing is recorded, as these failed: {', '.join(sorted(failed))}")
+    elif arguments.record:
         record(out, known)
     print(f"report: {report(names, out, arguments, failed)}")
     return 1 if failed else 0
