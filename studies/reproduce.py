@@ -44,7 +44,8 @@ of the default method's half sweeps uses each entry twice, a sweep of the other 
 True error: ||u - u_h||_A / ||u_h||_A against the exact discrete solution, found by an independent method (semismooth
 Newton with direct solves).
 
-Seconds are processor time on this machine, of one thread with compiled kernels, the least of up to three runs.
+Seconds are processor time on this machine, of one thread with compiled kernels, the least of up to three runs; those of
+adaptive and uniform meshes count Netgen's process, too.
 The paper counts grid 1 as the finest."""
 
 
