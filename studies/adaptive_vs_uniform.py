@@ -134,8 +134,8 @@ def study(out: Output) -> None:
               "All meshes: nodes, energy error, processor seconds", units={"cpu": "s"},
               formats={"energy_error": ".2e", "cpu": ".2f"})
     for line in (line for line in lines if line["problem"] in ("GRECO bar", "flat punch", "GRECO block 3D")):
-        out.number(f"{line['problem']} at {line['error']:.2g} % energy error: nodes and seconds of uniform over "
-                   "adaptive meshes (remeshed; bisected)", "; ".join(
+        out.number(f"Nodes and seconds of uniform over adaptive meshes (remeshed; bisected), {line['problem']} at "
+                   f"{line['error']:.2g} % energy error", "; ".join(
                        f"{line[f'{name}: nodes']:.1f}, {line[f'{name}: seconds']:.1f}" for name in ENGINES))
     figure, ax = drawing(3.1, 4.6)
     for case, name, errors, ratios in curves:
