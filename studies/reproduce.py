@@ -60,7 +60,7 @@ def main() -> int:
     if arguments.quick and arguments.record:
         raise SystemExit("reproduce.py: --record writes numbers of whole runs, not of --quick ones")
     say(f"{len(names)} studies{' on small grids' * arguments.quick}, {arguments.workers} at a time; the first run on a "
-        "machine compiles kernels for a minute or two")
+        "machine compiles kernels for about a minute")
     if arguments.fresh:
         for name in names:
             shutil.rmtree(out / name, ignore_errors=True)
@@ -82,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
                + "\n\nexample: python studies/reproduce.py --quick --out /tmp/report")
     parser.add_argument("studies", nargs="*", metavar="STUDY", help="default: all but the last")
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="smaller grids: about a minute on two cores")
+    size.add_argument("--quick", action="store_true", help="smaller grids: 80 s on two cores, compiling included")
     size.add_argument("--full", action="store_true", help="larger grids and the benchmark: most of an hour")
     parser.add_argument("--workers", type=int, choices=range(1, 65), metavar="N",
                         default=min(len(os.sched_getaffinity(0)), 8),
