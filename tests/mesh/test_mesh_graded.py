@@ -69,6 +69,23 @@ def test_a_small_draft_is_refined_to_the_sizes(domain, contact, size, ratio, mon
     assert np.median(cKDTree(fine.points).query(coarse.points[inner])[0]) > 0.05 * size
 
 
+def test_neighbouring_levels_come_from_different_drafts(monkeypatch):
+    sizes, original = [], grading.netgen_mesh
+    monkeypatch.setattr(grading, "netgen_mesh", lambda domain, field, size, *given:
+                        sizes.append(size) or original(domain, field, size, *given))
+    for level in range(7):
+        graded(SQUARE, 10e-3 / 2**level)
+    assert sizes[-1] > 5 * 10e-3 / 2**6
+    ratios = np.divide(sizes[:-1], sizes[1:])
+    assert (np.abs(ratios - 1) > 0.02).all()
+
+
+@pytest.mark.parametrize(("domain", "size", "axis"), [(ANGLE, 0.1, 0), (WEDGE, 2e3, 1), (BOX, 8e-3, 0)])
+def test_nodes_are_sorted_along_the_longest_side(domain, size, axis):
+    mesh = graded(domain, size)
+    assert (np.diff(mesh.points[:, axis]) >= 0).all() and (np.diff(mesh.elements.min(axis=1)) >= 0).all()
+
+
 def test_long_elements_of_a_draft_are_not_kept():
     strip = graded(Rectangle(width=1, height=0.02), 4e-3, "top", 2)
     assert quality(strip).min_angle > 25 and strip.n_nodes > 2000
