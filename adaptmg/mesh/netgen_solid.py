@@ -40,7 +40,7 @@ from adaptmg.mesh.netgen_plane import (
     unreachable,
 )
 from adaptmg.mesh.soundness import check_mesh, least_angle
-from adaptmg.mesh.surfaces import Misplaced, Surface, candidates, onto_surfaces, surfaces_of
+from adaptmg.mesh.surfaces import Misplaced, Revolved, candidates, onto_surfaces, surfaces_of
 from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import (
     Ball,
@@ -306,7 +306,7 @@ def _netgen_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, groups: dict[s
 
 
 def _refined(draft: MeshArrays, shape: Shape, sizes: SolidSizes, groups: dict[str, list[str]], domain: Domain,
-             known: list[list[Surface]]) -> MeshArrays:
+             known: list[list[Revolved]]) -> MeshArrays:
     """The draft at unit size, refined to the sizes."""
     surfaces = surfaces_of(known, draft)
 

@@ -34,7 +34,7 @@ class Misplaced(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Revolved:
     """A line or circle turned about an axis."""
 
     origin: np.ndarray  # (3,): on the axis
@@ -60,7 +60,7 @@ class Surface:
         return gaps, normals[:, :1] * outward + normals[:, 1:] * self.axis
 
 
-def surface_through(points: np.ndarray, normals: np.ndarray) -> Surface | None:
+def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     """The surface with some points (n, 3) and unit normals there, None if it is of none of the five kinds."""
     if not (np.isfinite(points).all() and np.isfinite(normals).all()):
         return None
@@ -70,12 +70,12 @@ def surface_through(points: np.ndarray, normals: np.ndarray) -> Surface | None:
     return None if found is None else replace(found, origin=found.origin + centre)
 
 
-def _checked(surface: Surface, points: np.ndarray) -> Surface | None:
+def _checked(surface: Revolved, points: np.ndarray) -> Revolved | None:
     return surface if np.abs(surface.gaps(points)[0]).max() <= _EXACT else None
 
 
-def _plane(points: np.ndarray, normals: np.ndarray) -> Surface | None:
-    return _checked(Surface(np.zeros(3), normals[0], np.array([0.0, 1.0]), 0.0, True), points)
+def _plane(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
+    return _checked(Revolved(np.zeros(3), normals[0], np.array([0.0, 1.0]), 0.0, True), points)
 
 
 def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
@@ -85,20 +85,20 @@ def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
     return (points - radius * normals).mean(axis=0), radius
 
 
-def _sphere(points: np.ndarray, normals: np.ndarray) -> Surface | None:
+def _sphere(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     centre, radius = _round(points, normals)
-    return _checked(Surface(centre, np.array([0.0, 0.0, 1.0]), np.zeros(2), abs(radius), False), points)
+    return _checked(Revolved(centre, np.array([0.0, 0.0, 1.0]), np.zeros(2), abs(radius), False), points)
 
 
-def _cylinder(points: np.ndarray, normals: np.ndarray) -> Surface | None:
+def _cylinder(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     axis = np.linalg.svd(normals)[2][-1]
     if np.abs(normals @ axis).max() > _EXACT:
         return None
     centre, radius = _round(points - np.outer(points @ axis, axis), normals)
-    return _checked(Surface(centre, axis, np.array([1.0, 0.0]), abs(radius), True), points)
+    return _checked(Revolved(centre, axis, np.array([1.0, 0.0]), abs(radius), True), points)
 
 
-def _turned(points: np.ndarray, normals: np.ndarray) -> Surface | None:
+def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     *_, complexes = np.linalg.svd(np.hstack([np.cross(points, normals), normals]))
     axis, moment = complexes[-1, :3], complexes[-1, 3:]
     length = np.linalg.norm(axis)
@@ -112,19 +112,19 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Surface | None:
     plane = np.column_stack([r, z])
     slopes = np.column_stack([(normals * away).sum(axis=1) / np.where(r > 0, r, 1.0), normals @ axis])
     if np.ptp(slopes, axis=0).max() <= _EXACT:
-        return _checked(Surface(origin, axis, slopes[0], float((plane @ slopes[0]).mean()), True), points)
+        return _checked(Revolved(origin, axis, slopes[0], float((plane @ slopes[0]).mean()), True), points)
     centre, radius = _round(plane, slopes)
-    return _checked(Surface(origin, axis, centre, abs(radius), False), points)
+    return _checked(Revolved(origin, axis, centre, abs(radius), False), points)
 
 
-def candidates(samples: Sequence[np.ndarray]) -> list[list[Surface]] | None:
+def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:
     """The surfaces that each face may lie on, by patches of points and normals (n, 6); None where a face has none."""
     found = [[s for patch in patches if (s := surface_through(patch[:, :3], patch[:, 3:])) is not None]
              for patches in samples]
     return found if all(found) else None
 
 
-def surfaces_of(candidates: Sequence[Sequence[Surface]], mesh: MeshArrays) -> list[Surface]:
+def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> list[Revolved]:
     """The surface of each boundary of a mesh (called by the numbers of faces) that all its nodes lie on."""
     found = []
     for label, face in enumerate(mesh.boundaries):
@@ -138,7 +138,7 @@ def surfaces_of(candidates: Sequence[Sequence[Surface]], mesh: MeshArrays) -> li
     return found
 
 
-def onto_surfaces(surfaces: Sequence[Surface], mesh: MeshArrays, n_old: int) -> MeshArrays:
+def onto_surfaces(surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int) -> MeshArrays:
     """A sound refined mesh with its boundary nodes from ``n_old`` on put onto the surfaces of their boundaries; sound
     if none of its elements became flat. Misplaced otherwise, or where nodes do not reach their surfaces."""
     row, corner = np.nonzero(mesh.facets >= n_old)
