@@ -41,5 +41,6 @@ def test_an_error_far_below_rtol_is_estimated_by_one_step(monkeypatch):
     assert len(steps) == 1
     found = result.certificate(grids("bar", 0.6).finest.discrete).energy_error
     assert len(steps) > 2 and found / 3 <= result.checked.energy_error <= 1.001 * found <= 1e-3
-    am.solve(grids("bar", 0.6), am.FullMultigrid(rtol=1e-4))
-    assert len(steps) > 5
+    before = len(steps)
+    am.solve(grids("bar", 0.6), am.FullMultigrid(rtol=2 * found))
+    assert len(steps) > before + 1

@@ -65,10 +65,10 @@ def test_paths_are_expanded_and_long_names_fit(tmp_path, monkeypatch):
     am.PathResult((result,), {"left": np.array([1.0])}, {}, 1).save("~/steps")
     assert same(am.PathResult.load("~/steps")[0], result)
     am.export.vtk(result, "~/r.vtu")
-    am.export.vtk_series([result], "~/series")
+    am.export.vtk_series([result], "~/s.pvd")
     am.export.Report("t").write("~/t.html")
     am.Study(count, {"n": [1]}, "~/s.sqlite").run(progress=False)
-    wanted = {"r.npz", f"{name}.npz", "steps", "r.vtu", "series", "t.html", "s.sqlite"}
+    wanted = {"r.npz", f"{name}.npz", "steps", "r.vtu", "s.pvd", "s_0000.vtu", "t.html", "s.sqlite"}
     assert {file for file in os.listdir(tmp_path) if file[0] != "."} == wanted
 
 
