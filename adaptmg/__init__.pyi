@@ -103,3 +103,5 @@ from adaptmg.transfer import PseudoL2 as PseudoL2
 from adaptmg.transfer import QuasiInterpolation as QuasiInterpolation
 
 __version__: str
+_HOME: dict[str, str]
+_SUBMODULES: tuple[str, ...]

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise, product
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -71,7 +71,7 @@ class Hierarchy:
     """
 
     levels: tuple[Level, ...]
-    problem: ContactProblem | None = None
+    problem: ContactProblem | Any = None  # Any: only hierarchies of a given matrix need the test for None
     origin: str = "levels"
     timings: dict[str, float] = field(default_factory=dict)
     limits: str = ""

@@ -107,7 +107,7 @@ def large(dim: int, divisions: int) -> dict:
     count = iterations_needed(problem, build())
     rival = cpu(lambda: iterate(problem, build(), count))
     return {"nodes": grids.finest.n_nodes, "work": result.work_units, "cycles": result.cycles,
-            "passes": whole / one_pass, "solve passes": solve / one_pass, "bytes": kept / matrix.shape[0],
+            "passes": whole / one_pass, "solve passes": solve / one_pass, "bytes": kept / result.displacement.size,
             "over pyamg": whole / rival, "solve over pyamg": solve / rival}
 
 

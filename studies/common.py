@@ -31,6 +31,7 @@ import psutil
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 import adaptmg as am
 from adaptmg._files import make_folder, write_bytes
@@ -209,7 +210,7 @@ def compare(out: Output, run: Callable[..., dict[str, Any]], methods: Sequence[s
     table = am.Study(run, points, out.store, fixed=fixed).run(throw=True)
     table = table[["method", "levels", "nodes", "cycles", "work", "solve_seconds", "final_error", "outcome"]]
     table = table.rename(columns={"levels": "grids", "solve_seconds": "seconds"})
-    first = table.loc[table["seconds"].idxmin()]
+    first = table.iloc[table["seconds"].argmin()]
     n = first["grids"]
     out.table("methods", table, caption, f"Quickest in this run: {first['method']}{f' on {n} grids' * int(n > 1)}, "
               f"{first['seconds']:.3f} s.", units={"work": "WU", "seconds": "s"},
@@ -217,7 +218,7 @@ def compare(out: Output, run: Callable[..., dict[str, Any]], methods: Sequence[s
     return table
 
 
-def slope(x: Sequence[float], y: Sequence[float]) -> float:
+def slope(x: ArrayLike, y: ArrayLike) -> float:
     """Exponent of y ~ x^slope, fitted by least squares to the logarithms."""
     return float(np.polyfit(np.log(np.asarray(x, dtype=float)), np.log(np.asarray(y, dtype=float)), 1)[0])
 

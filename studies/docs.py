@@ -43,7 +43,7 @@ TASKS = {
 
 def main() -> int:
     """Command line; exit code 1 where Sphinx warns."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n")[0],
                                      epilog="example: python studies/docs.py --out /tmp/docs")
     parser.add_argument("--out", type=Path, default=Path("results/docs"), metavar="DIR", help="default: results/docs")
     arguments = parser.parse_args()

@@ -84,8 +84,7 @@ def iterations_needed(problem: Glued, precondition: Callable[[np.ndarray], np.nd
 def pyamg_preconditioner(problem: Glued) -> Callable[[np.ndarray], np.ndarray]:
     """Smoothed aggregation with rigid-body modes, pyamg's defaults; one V-cycle an application."""
     hierarchy = pyamg.smoothed_aggregation_solver(sparse.bsr_matrix(problem.matrix), B=problem.modes)
-    operator = hierarchy.aspreconditioner(cycle="V")
-    return lambda r: operator @ r
+    return hierarchy.aspreconditioner(cycle="V").matvec
 
 
 def geometric_preconditioner(problem: Glued) -> Callable[[np.ndarray], np.ndarray]:

@@ -25,7 +25,7 @@ def overview() -> Figure:
             "monotone, nested start": am.solve(grids, am.FullMultigrid(**monotone), reference=exact),
             "truncated (default)": am.solve(grids, am.FullMultigrid(), reference=exact)}
     figure = plt.figure(figsize=(13.6, 8.6), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(4.0, 4.6))
+    (above,), (below,) = figure.subfigures(2, 1, squeeze=False, height_ratios=(4.0, 4.6))
     left, right = above.subfigures(1, 2, width_ratios=(1.5, 2.2))
     am.plot.problem(problem, left.subplots())
     for k, ax in zip((0, 2, 4), right.subplots(1, 3), strict=True):
@@ -64,7 +64,7 @@ def adaptive() -> Figure:
 PICTURES = {"overview": overview, "dovetail": dovetail, "adaptive": adaptive}
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0],
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n")[0],
                                      epilog="example: python studies/pictures.py --out /tmp/pictures overview")
     parser.add_argument("--out", type=Path, default=Path("data/pictures"), metavar="DIR", help="default: data/pictures")
     parser.add_argument("pictures", nargs="*", metavar="NAME", help=f"some of: {', '.join(PICTURES)} (default: all)")

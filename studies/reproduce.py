@@ -77,7 +77,7 @@ def main() -> int:
 def _parser() -> argparse.ArgumentParser:
     lines = [f"  {name:24s}{seconds:4d} s  {question(name)}" for name, seconds in (STUDIES | LARGE).items()]
     parser = argparse.ArgumentParser(
-        description=__doc__.split("\n")[0], formatter_class=argparse.RawDescriptionHelpFormatter,
+        description=str(__doc__).split("\n")[0], formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="studies, processor seconds (the last with --full or by name):\n" + "\n".join(lines)
                + "\n\nexample: python studies/reproduce.py --quick --out /tmp/report")
     parser.add_argument("studies", nargs="*", metavar="STUDY", help="default: all but the last")

@@ -53,7 +53,7 @@ def study(out: Output) -> None:
     for name, rows in list(table.groupby("method", sort=False))[1:]:
         cells = {str(row["grids"]): f"{row['gain, work']:.1f} / {row['gain, s']:.1f}"
                  + f" ({row['error']:.0e})" * (row["part"] < 1) for _, row in rows.iterrows()}
-        lines.append({"method": name} | cells)
+        lines.append({"method": str(name)} | cells)
     first = pd.DataFrame(lines).fillna("").rename(columns={str(n): f"{n} grid{'s' * (n > 1)}" for n in (1, *counts)})
     out.table("table_1", first, "Table 1: how much more grids gain", f"Speed-up over one grid with omega 1 "
               f"({(divisions + 1)**2} nodes), in work / in seconds, at a true error of 1e-6. Complete: every coarse "

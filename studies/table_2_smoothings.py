@@ -66,7 +66,7 @@ def study(out: Output) -> None:
               units={"solve_seconds": "s", "work": "WU"}, formats={"true_error": ".0e"})
     figure, ax = drawing()
     ax.plot(counts, first["paper"], "ks:", label="the paper")
-    for (problem, correction, coarse), row in cycles.iterrows():
+    for (problem, correction, coarse), row in zip(cycles.index, cycles.to_numpy(), strict=True):
         if correction == "monotone":
             ax.plot(counts, row, "o-" if coarse == "tight" else "x--", label=f"{problem}, {coarse}")
     ax.set(xlabel="smoothings before the coarse correction", ylabel="cycles to a change of 1e-6", ylim=(0, 40),

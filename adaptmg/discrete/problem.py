@@ -16,7 +16,7 @@ import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -95,7 +95,7 @@ class DiscreteProblem(Unknowns):
     contact: ContactNodes
     fixed_values: np.ndarray | None = None
     coordinates: np.ndarray | None = None
-    near_nullspace: np.ndarray | None = None
+    near_nullspace: np.ndarray | Any = None  # Any: only problems without coordinates need the test for None
     name: str = "discrete problem"
     coupling: Coupling | None = None
     bodies: Mapping[str, np.ndarray] | None = None

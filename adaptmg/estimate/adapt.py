@@ -20,7 +20,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._runtime import say
 from adaptmg.estimate.bisect import Bisect
-from adaptmg.estimate.estimate import Doerfler, Indicator, Mark
+from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
 from adaptmg.estimate.goal import Goal
 from adaptmg.estimate.loop import AdaptiveLoop, Parts, Progress
 from adaptmg.estimate.loop_store import LoopStore, loop_fingerprint
@@ -44,11 +44,11 @@ if TYPE_CHECKING:
 
 def adapt(problem: ContactProblem,
           start: float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None = None,
-          indicator: Indicator | None = None, mark: Mark | None = None, engine: Engine | None = None, *,
+          indicator: Indicator[Found] | None = None, mark: Mark | None = None, engine: Engine | None = None, *,
           tolerance: float | None = None, max_nodes: int | None = None, max_seconds: float | None = None,
           store: str | os.PathLike[str] | None = None, depends: Mapping[str, object] | None = None,
           transfer: Transfer | None = None, solver: Solver | None = None, load_path: LoadPath | None = None,
-          adapt_on: str = "last", progress: Progress | bool | None = None) -> Iterator[Step]:
+          adapt_on: str = "last", progress: Progress | bool | None = None) -> Iterator[Step[Found]]:
     """Solve on meshes that follow the error, one finer than the other, until a limit is reached.
 
     Without ``tolerance``, ``max_nodes`` and ``max_seconds`` it ends at 20 000 nodes. Warnings as of

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -135,10 +135,19 @@ def _checked_squares(name: str, squares: object) -> np.ndarray:
     return result
 
 
-class Indicator(Protocol):
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar  # Python's has no default before 3.13
+
+    #: what an indicator returns, and so the steps of a loop with it hold
+    Found = TypeVar("Found", bound=Estimate, default=Estimate, covariant=True)
+else:
+    Found = TypeVar("Found", covariant=True)
+
+
+class Indicator(Protocol[Found]):
     """What estimates the error: Residual, Recovery, Goal or a user-defined object."""
 
-    def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
+    def indicate(self, hierarchy: Hierarchy, result: Result) -> Found:
         """The estimate for the elements of the finest mesh."""
 
 

@@ -107,6 +107,8 @@ class GoalEstimate(Estimate):
     1
     """
 
+    value: float
+    signed: float
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: np.ndarray  # of the discrete solution

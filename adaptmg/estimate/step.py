@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Generic, Protocol
 
 import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
-from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.estimate import Estimate, Found
 from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
@@ -47,7 +47,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Step:
+class Step(Generic[Found]):
     """A mesh of the adaptive loop, solved and estimated; printing it shows a line that names its columns.
 
     Attributes
@@ -90,7 +90,7 @@ class Step:
     number: int
     hierarchy: Hierarchy
     result: Result
-    estimate: Estimate
+    estimate: Found
     timings: Mapping[str, float]
     total_seconds: float
     work_units: float

@@ -7,11 +7,22 @@ with the same node numbers as its ``source``, which is built when it is first re
 from __future__ import annotations
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.size_near import SizeNear
 from adaptmg.mesh.soundness import MeshQuality, check_mesh, quality, with_source
 from adaptmg.mesh.structured import merged, structured
+
+if TYPE_CHECKING:
+    from adaptmg.mesh.bisection import bisect, refine_near
+    from adaptmg.mesh.bisection.coarsen import coarsen
+    from adaptmg.mesh.bisection.onto_domain import onto_domain
+    from adaptmg.mesh.grading import graded, sized
+    from adaptmg.mesh.netgen_solid import solid_mesh
+    from adaptmg.mesh.ngsolve_bridge import to_ngsolve
+    from adaptmg.mesh.read import as_mesh, from_gmsh, from_ngsolve
+    from adaptmg.mesh.step import from_step, step_names
 
 # these modules import ngsolve or numba: they are loaded at the first use of a name (PEP 562)
 _LAZY = {"as_mesh": "read", "bisect": "bisection", "coarsen": "bisection.coarsen", "from_gmsh": "read",

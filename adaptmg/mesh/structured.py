@@ -21,7 +21,7 @@ from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MOST_NODES, MeshArrays, facet_table, sound_by_construction
 from adaptmg.mesh.domains import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
-from adaptmg.problem.plane_domains import Box, Rectangle
+from adaptmg.problem.plane_domains import Box, Domain, Rectangle
 from adaptmg.problem.solid_domains import Assembly
 
 Divisions = int | Sequence[int]
@@ -29,7 +29,7 @@ Divisions = int | Sequence[int]
 _BYTES_PER_NODE = {2: 600, 3: 2000}
 
 
-def structured(domain: Rectangle | Box | Assembly, divisions: Divisions | Mapping[str, Divisions],
+def structured(domain: Domain, divisions: Divisions | Mapping[str, Divisions],
                diagonal: str = "right") -> MeshArrays:
     """Triangulate a rectangle or box by a lattice, or each body of an assembly by a separate one.
 

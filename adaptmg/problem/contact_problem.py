@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import get_args
+from typing import Any, get_args
 
 from adaptmg import _checks as checks
 from adaptmg._text import brief
@@ -93,9 +93,9 @@ class ContactProblem:
     law: Law
     loads: tuple[Load, ...] = ()
     supports: tuple[AnySupport, ...] = ()
-    domain: Domain | None = None
+    domain: Domain | Any = None  # Any: only problems without a domain need the test for None
     name: str = "contact problem"
-    reference: Mapping[str, object] = field(default_factory=dict)
+    reference: Mapping[str, Any] = field(default_factory=dict)
 
     __repr__ = brief
 

@@ -5,10 +5,12 @@ Friction depends on the history: the same load, applied in another order, leaves
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -19,7 +21,6 @@ from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Po
 BODY_FORCE = "body force"  # name of body forces that act on all bodies
 DEFAULT = "default"  # name of all loads together, where no ContactProblem names them
 
-Factors = float | Sequence[float]
 Field = float | Callable[[np.ndarray], np.ndarray]
 
 _ROUNDING = 1e-14
@@ -46,8 +47,11 @@ class LoadPath:
     [0.0, 0.5, 1.0]
     """
 
-    factors: Mapping[str, Factors] = field(default_factory=dict)
-    default: Factors = 1.0
+    factors: Mapping[str, np.ndarray] = field(default_factory=dict)
+    default: np.ndarray = 1.0
+
+    if TYPE_CHECKING:
+        def __init__(self, factors: Mapping[str, ArrayLike] = ..., default: ArrayLike = 1.0) -> None: ...
 
     __repr__ = brief
 
@@ -109,7 +113,7 @@ def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*map(name_in_path, problem.loads), *rest]))
 
 
-def _factors(name: str, value: Factors) -> np.ndarray:
+def _factors(name: str, value: ArrayLike) -> np.ndarray:
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0:
         return np.array(checks.quantity(name, value))
     result = np.array(check_arrays.vector(name, value))

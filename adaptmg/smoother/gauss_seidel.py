@@ -29,7 +29,7 @@ class Smoother(Protocol):
     """What a smoother must offer."""
 
     def smooth(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
-               sweeps: int = 1) -> float:
+               sweeps: int) -> float:
         """Improve ``unknowns`` in place by ``sweeps`` sweeps; return the passes over the matrix that it took."""
 
 

@@ -3,6 +3,7 @@
 import importlib
 import sys
 from importlib.metadata import distribution
+from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -96,7 +97,7 @@ def _exists(parts):
 def setup(app):
     """Copy MathJax, and connect the references."""
     app.connect("missing-reference", _resolve)
-    root = distribution("sphinx-mathjax-offline").locate_file("sphinx-mathjax-offline/static/mathjax")
+    root = Path(str(distribution("sphinx-mathjax-offline").locate_file("sphinx-mathjax-offline/static/mathjax")))
 
     def mathjax(app, error):
         from sphinx.util.fileutil import copy_asset

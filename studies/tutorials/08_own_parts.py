@@ -6,14 +6,14 @@ A part is an object with the right method; :doc:`/howto/own_parts` lists them.
 """
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 import adaptmg as am
 
 
 class ThreeNearest:                                      # a transfer: inverse-distance weights of three coarse nodes
     def build(self, coarse, fine):
-        distance, node = cKDTree(coarse.points).query(fine.points, k=3)
+        distance, node = KDTree(coarse.points).query(fine.points, k=3)
         weight = 1 / np.maximum(distance, 1e-12)
         weight /= weight.sum(axis=1, keepdims=True)
         entries = weight.ravel(), (np.repeat(np.arange(fine.n_nodes), 3), node.ravel())

@@ -13,7 +13,7 @@ def stub() -> str:
     modules = {"adaptmg": adaptmg._SUBMODULES, **adaptmg._WHERE}
     for module, names in sorted(modules.items()):
         lines += [f"from {module} import {name} as {name}" for name in sorted(names)]
-    return "\n".join([*lines, "", "__version__: str", ""])
+    return "\n".join([*lines, "", "__version__: str", "_HOME: dict[str, str]", "_SUBMODULES: tuple[str, ...]", ""])
 
 
 if __name__ == "__main__":
