@@ -114,6 +114,12 @@ class _Compiler(_FunctionCompiler):
 class _Inner(CPUDispatcher):
     """A kernel without a way in from Python: numba would jump to an invalid address."""
 
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Compile once for numbers in the caller's text and in its variables: numba does for each number and each
+        tuple of them."""
+        return super().get_call_template([numba.types.unliteral(one) for one in args],
+                                         {name: numba.types.unliteral(one) for name, one in kws.items()})
+
     def __call__(self, *arguments: object, **named: object) -> None:
         name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
         raise TypeError(f"{name} is called by compiled code alone (inner_kernel): compile it with kernel, or call its "

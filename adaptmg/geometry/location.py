@@ -72,8 +72,10 @@ def affine_maps(first, last, points, elements, maps):
     element has no volume."""
     dim = elements.shape[1] - 1
     # the gradients are cross products of the edges; in 2D the third edge is the unit vector along z
-    edges = np.zeros((3, 3))
-    edges[2, 2] = 1.0
+    edges = np.empty((3, 3))
+    for m in range(3):
+        for c in range(3):
+            edges[m, c] = 1.0 if m == 2 and c == 2 else 0.0
     for e in range(first, last):
         for m in range(dim):
             maps[e, m] = points[elements[e, 0], m]

@@ -26,7 +26,9 @@ from adaptmg.mesh.arrays import MeshArrays, trusted
 @kernel
 def cells_around(elements, n_nodes):
     """Compressed rows of corners, as ``corners * element + corner``."""
-    start = np.zeros(n_nodes + 1, dtype=np.int64)
+    start = np.empty(n_nodes + 1, dtype=np.int64)
+    for i in range(n_nodes + 1):
+        start[i] = 0
     for e in range(len(elements)):
         for k in range(elements.shape[1]):
             start[elements[e, k] + 1] += 1
@@ -58,7 +60,7 @@ _AROUND = _OCTAHEDRA[:, [[0, 1, 2 + k, 2 + (k + 1) % 4] for k in range(4)]]
 @inner_kernel
 def _middle(head, following, highs, count, a, b):
     """The number of the edge (a, b), entered as ``count`` if it is not known yet."""
-    low, high = min(a, b), max(a, b)
+    low, high = (a, b) if a < b else (b, a)
     k = head[low]
     while k >= 0 and highs[k] != high:
         k = following[k]
@@ -78,7 +80,7 @@ def _number(cells, ends, head, following, highs, lows, numbers):
             a, b = cells[e, ends[k, 0]], cells[e, ends[k, 1]]
             number = _middle(head, following, highs, count, a, b)
             if number == count:
-                lows[count] = min(a, b)
+                lows[count] = a if a < b else b
                 count += 1
             numbers[e, k] = number
     return count
@@ -253,9 +255,8 @@ _SWEEPS = 8
 
 
 @kernel
-def _across(elements, start, items):
-    """The element opposite each corner (n, 3) of triangles, -1 on the boundary."""
-    across = np.full(elements.shape, -1, dtype=np.int32)
+def _across(elements, start, items, across):
+    """Fill ``across`` (n, 3), which comes as -1, of the element opposite each corner of triangles."""
     for e in range(len(elements)):
         for k in range(3):
             b, c = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
@@ -265,7 +266,6 @@ def _across(elements, start, items):
                 if elements[f, (m + 2) % 3] == c:
                     across[e, k] = f
                     break
-    return across
 
 
 @inner_kernel
@@ -298,7 +298,7 @@ def _swap(points, elements, across):
     swapped = 0
     for e in range(len(elements)):
         for k in range(3):
-            f = across[e, k]
+            f = np.int64(across[e, k])
             if f < 0:
                 continue
             a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
@@ -377,7 +377,8 @@ def improved_triangles(points: np.ndarray, elements: np.ndarray, held: np.ndarra
     """Triangles on the same nodes, these moved, after some rounds of swaps and moves."""
     points, elements = np.array(points), np.array(elements, dtype=np.int32)
     around = cells_around(elements, len(points))
-    across = _across(elements, *around)
+    across = np.full(elements.shape, -1, dtype=np.int32)
+    _across(elements, *around, across)
     for _ in range(rounds):
         swaps = [_swap(points, elements, across)]
         while swaps[-1] and len(swaps) < _SWEEPS:

@@ -108,7 +108,7 @@ class TruncatedContact:
     def truncate(self, residual: np.ndarray) -> float:
         """Make f - A u the truncated residual, in place; returns its sum of squares at the contact nodes."""
         squares = truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction, self.reference,
-                           self.values, residual)
+                           self.values, residual, np.empty(self.dim))
         # the support takes the friction along what it holds
         return squares - self._clear(residual)
 
@@ -123,7 +123,8 @@ class TruncatedContact:
 
     def project(self, unknowns: np.ndarray) -> int:
         """Make a corrected iterate admissible, in place; returns the number of nodes that had to be cut."""
-        cut = project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference, self.values, unknowns)
+        cut = project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference, self.values, unknowns,
+                      np.empty(self.dim))
         self._clear(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
         return cut
@@ -192,9 +193,9 @@ def _slip_size(dim, k, values, reference):
 
 
 @kernel
-def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r):
-    """Replace the residual (n_dofs,) at contact nodes by the truncated one; returns the sum of its squares there."""
-    local = np.empty(dim)
+def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r, local):
+    """Replace the residual (n_dofs,) at contact nodes by the truncated one; returns the sum of its squares there.
+    ``local`` (dim,) is overwritten."""
     squares = 0.0
     for k in range(len(nodes)):
         at = dim * np.int64(nodes[k])
@@ -249,11 +250,10 @@ def directions(dim, codes, limit, friction, pressure, reference, values, directi
 
 
 @kernel
-def project(dim, codes, nodes, frames, gap, reference, values, u):
+def project(dim, codes, nodes, frames, gap, reference, values, u, local):
     """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns. Closed nodes keep the gap,
     held ones their place. An open node stops at the gap. A slip that would turn by more than 90 degrees (2D: reverse)
-    is cut to zero. Returns how many nodes were cut."""
-    local = np.empty(dim)
+    is cut to zero. Returns how many nodes were cut. ``local`` (dim,) is overwritten."""
     m = dim - 1
     cut = 0
     for k in range(len(nodes)):

@@ -253,6 +253,7 @@ class Recombination:
     def __init__(self, dim: int, n_dofs: int, depth: int) -> None:
         self.dim, self.depth, self._past = dim, depth, 0
         self.residuals, self._alpha = Ring(n_dofs, depth), np.zeros(Ring.MOST)
+        self._matrix = np.zeros((Ring.MOST, Ring.MOST))
 
     @property
     def past(self) -> int:
@@ -270,7 +271,7 @@ class Recombination:
             n = len(self.residuals.now)
             # it computes more than it reads
             sums = sum_of_parts(_sums, n // self.dim, 20 * n, self.dim, inverse, ring.flat, ring.places(self.past))
-            _fit(np.asarray(sums), self._alpha)
+            _fit(np.asarray(sums), self._matrix, self._alpha)
         return self._alpha
 
     def combine(self, alpha: np.ndarray, result: np.ndarray) -> None:
@@ -317,16 +318,22 @@ def _sums(begin, end, dim, inverse, ring, places):
 
 
 @kernel
-def _fit(sums, alpha):
-    """Solve the normal equations for the weights ``alpha`` (4,); 0 for residuals that depend on newer ones."""
-    a_11, a_12, a_13, a_14, a_22, a_23, a_24, a_33, a_34, a_44, b_1, b_2, b_3, b_4 = sums
-    matrix = np.array([[a_11, a_12, a_13, a_14], [a_12, a_22, a_23, a_24], [a_13, a_23, a_33, a_34],
-                       [a_14, a_24, a_34, a_44]])
-    alpha[0], alpha[1], alpha[2], alpha[3] = b_1, b_2, b_3, b_4
-    sizes = np.array([a_11, a_22, a_33, a_44])
+def _fit(sums, matrix, alpha):
+    """Solve the normal equations for the weights ``alpha`` (4,); 0 for residuals that depend on newer ones. ``matrix``
+    (4, 4) is overwritten."""
+    at = 0
     for k in range(4):
-        if not matrix[k, k] > _SINGULAR * sizes[k]:
-            matrix[k], matrix[:, k], matrix[k, k], alpha[k] = 0.0, 0.0, 1.0, 0.0
+        for j in range(k, 4):
+            matrix[k, j] = matrix[j, k] = sums[at]
+            at += 1
+        alpha[k] = sums[10 + k]
+    at = 0  # of the diagonal
+    for k in range(4):
+        if not matrix[k, k] > _SINGULAR * sums[at]:
+            for j in range(4):
+                matrix[k, j] = matrix[j, k] = 0.0
+            matrix[k, k], alpha[k] = 1.0, 0.0
+        at += 4 - k
         for j in range(k + 1, 4):
             factor = matrix[j, k] / matrix[k, k]
             alpha[j] -= factor * alpha[k]

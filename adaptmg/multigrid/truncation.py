@@ -42,7 +42,8 @@ class _Changed:
     def store(self, change: np.ndarray) -> None:
         level = self.level
         store(self.dim, self.slots, self.rows, self.columns, self.base, change, self._free,
-              int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse)
+              int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse,
+              np.empty(self.dim * self.dim), np.empty(self.dim))
 
 
 @dataclass(eq=False)
@@ -200,7 +201,7 @@ class Truncation:
         """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g frozen."""
         o = self.contact
         changed_blocks(o.dim, self.rows, self.columns, self.blocks, o.contact_of, o.codes, o.frames,
-                       o.friction, o.direction, o.hessian, newton, self.change)
+                       o.friction, o.direction, o.hessian, newton, self.change, *np.empty((2, o.dim, o.dim)))
         self.products.update(self.change)
 
     def restore(self) -> None:
@@ -208,25 +209,18 @@ class Truncation:
 
 
 @inner_kernel
-def _turn_rows(dim, frames, k, inverse, block, other):
-    """other = F block, F the frame of contact node k, or F' block."""
+def _turn(dim, frames, k, inverse, rows, block, other):
+    """Change a block to F block (``rows``) or block F', F the frame of contact node k, or F its inverse F'."""
     for a in range(dim):
         for b in range(dim):
             other[a, b] = 0.0
+            i = a if rows else b
             for c in range(dim):
-                at = c * dim + a if inverse else a * dim + c
-                other[a, b] += frames[k * dim * dim + at] * block[c, b]
-
-
-@inner_kernel
-def _turn_columns(dim, frames, k, inverse, block, other):
-    """other = block F', F the frame of contact node k, or block F."""
+                at = c * dim + i if inverse else i * dim + c
+                other[a, b] += frames[k * dim * dim + at] * (block[c, b] if rows else block[a, c])
     for a in range(dim):
         for b in range(dim):
-            other[a, b] = 0.0
-            for c in range(dim):
-                at = c * dim + b if inverse else b * dim + c
-                other[a, b] += block[a, c] * frames[k * dim * dim + at]
+            block[a, b] = other[a, b]
 
 
 @inner_kernel
@@ -236,26 +230,25 @@ def _truncated(a, code):
 
 
 @kernel
-def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, friction, direction, hessian, newton, change):
-    """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen)."""
+def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, friction, direction, hessian, newton, change,
+                   block, other):
+    """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen). ``block``
+    and ``other`` (dim, dim) are overwritten."""
     size = dim * dim
     m = dim - 1
-    block, other = np.empty((dim, dim)), np.empty((dim, dim))
     for e in range(len(rows)):
         k, l = contact_of[rows[e]], contact_of[columns[e]]
         for a in range(dim):
             for b in range(dim):
                 block[a, b] = blocks[e * size + a * dim + b]
         if k >= 0:
-            _turn_rows(dim, frames, k, False, block, other)
+            _turn(dim, frames, k, False, True, block, other)
             if newton and codes[k] & CLOSED:
                 for a in range(m):
                     for b in range(dim):
-                        other[1 + a, b] -= friction[k] * direction[m * k + a] * other[0, b]
-            block, other = other, block
+                        block[1 + a, b] -= friction[k] * direction[m * k + a] * block[0, b]
         if l >= 0:
-            _turn_columns(dim, frames, l, False, block, other)
-            block, other = other, block
+            _turn(dim, frames, l, False, False, block, other)
         if k >= 0 and k == l:
             for a in range(m):
                 for b in range(m):
@@ -265,11 +258,9 @@ def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, fricti
                 if (k >= 0 and _truncated(a, codes[k])) or (l >= 0 and _truncated(b, codes[l])):
                     block[a, b] = 0.0
         if l >= 0:
-            _turn_columns(dim, frames, l, True, block, other)
-            block, other = other, block
+            _turn(dim, frames, l, True, False, block, other)
         if k >= 0:
-            _turn_rows(dim, frames, k, True, block, other)
-            block, other = other, block
+            _turn(dim, frames, k, True, True, block, other)
         for a in range(dim):
             for b in range(dim):
                 change[e * size + a * dim + b] = block[a, b] - blocks[e * size + a * dim + b]
@@ -346,12 +337,12 @@ def add_contributions(size, source, target, weight, fine, coarse):
 
 
 @kernel
-def store(dim, slots, rows, columns, base, change, free, below, lower, upper, diagonal, inverse):
+def store(dim, slots, rows, columns, base, change, free, below, lower, upper, diagonal, inverse, block,
+          scale):
     """Write base + change to a split matrix; ``change`` is zeroed in rows and columns of fixed dofs first. ``diagonal``
-    may be empty where nobody needs it."""
+    may be empty where nobody needs it; ``block`` (dim * dim,) and ``scale`` (dim,) are overwritten."""
     size = dim * dim
     n = len(inverse) // size
-    block, scale = np.empty(size), np.empty(dim)
     for t in range(len(slots)):
         i, j, slot = rows[t], columns[t], slots[t]
         for a in range(dim):

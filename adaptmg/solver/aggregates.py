@@ -31,10 +31,10 @@ _SHIFT = 1e-10
 
 
 @kernel
-def _grow(indptr, indices, group, sizes, most_deep, label):
-    """Number the aggregates in ``label`` by breadth-first search inside groups; returns their number."""
+def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
+    """Number the aggregates in ``label`` by breadth-first search inside groups; returns their number. ``queue`` and
+    ``depth`` (n_nodes,) are overwritten."""
     n, count = len(group), 0
-    queue, depth = np.empty(n, dtype=np.int32), np.zeros(n, dtype=np.int32)
     for seed in range(n):
         if label[seed] >= 0 or group[seed] < 0:
             continue
@@ -87,15 +87,15 @@ def _join(indptr, indices, group, sizes, remnant, label, members, of, best):
 
 
 @kernel
-def _arrange(label, points, count, order, starts, offset):
-    """Nodes by aggregate, and their places from its centre over its extent (root of the mean square)."""
-    starts[:] = 0
+def _arrange(label, points, count, order, starts, ends, offset):
+    """Nodes by aggregate, and their places from its centre over its extent (root of the mean square). ``starts``
+    (count + 1,) comes as 0; ``ends`` (count,) is overwritten."""
     for i in range(len(label)):
         if label[i] >= 0:
             starts[label[i] + 1] += 1
     for a in range(count):
         starts[a + 1] += starts[a]
-    ends = starts[:-1].copy()
+        ends[a] = starts[a]
     for i in range(len(label)):
         if label[i] >= 0:
             order[ends[label[i]]] = i
@@ -103,20 +103,21 @@ def _arrange(label, points, count, order, starts, offset):
     if len(points) == 0:
         return
     for a in range(count):
-        members, square = order[starts[a]:starts[a + 1]], 0.0
+        begin, end, square = starts[a], starts[a + 1], 0.0
         for k in range(points.shape[1]):
             centre = 0.0
-            for i in members:
-                centre += points[i, k]
-            centre /= len(members)
-            for i in members:
+            for place in range(begin, end):
+                centre += points[order[place], k]
+            centre /= end - begin
+            for place in range(begin, end):
+                i = order[place]
                 offset[i, k] = points[i, k] - centre
                 square += offset[i, k] ** 2
-        extent = np.sqrt(square / len(members))
+        extent = np.sqrt(square / (end - begin))
         if extent > 0:
-            for i in members:
+            for place in range(begin, end):
                 for k in range(points.shape[1]):
-                    offset[i, k] /= extent
+                    offset[order[place], k] /= extent
 
 
 @kernel
@@ -160,13 +161,14 @@ class Aggregates:
             depth = round(0.9 * size ** (1 / dim))
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
         self.label = np.full(n, -1, dtype=np.int32)
-        count = _grow(matrix.indptr, matrix.indices, group, sizes, depth, self.label)
+        count = _grow(matrix.indptr, matrix.indices, group, sizes, depth, self.label,
+                      *np.empty((2, n), dtype=np.int32))
         count = _join(matrix.indptr, matrix.indices, group, sizes, _REMNANT, self.label,
                       np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.int32), np.full(count, -1))
-        self.order, self.starts = np.empty(n, dtype=np.int32), np.empty(count + 1, dtype=np.int32)
+        self.order, self.starts = np.empty(n, dtype=np.int32), np.zeros(count + 1, dtype=np.int32)
         self.offset = np.zeros((n, dim))
         points = np.empty((0, dim)) if problem.coordinates is None else problem.coordinates
-        _arrange(self.label, points, count, self.order, self.starts, self.offset)
+        _arrange(self.label, points, count, self.order, self.starts, np.empty(count, dtype=np.int32), self.offset)
         self.indptr = np.zeros(count + 1, dtype=np.int32)
         given = matrix.indptr, matrix.indices, self.label, self.order, self.starts, self.indptr
         self.indices = np.empty(_pattern(*given, np.full(count, -1), np.empty(0, dtype=np.int32)), dtype=np.int32)
@@ -229,18 +231,18 @@ def _galerkin(first, last, zero, indptr, indices, data, diagonal, held, kept, of
               coarse_indptr, coarse_indices, coarse):
     """coarse += half of B' (A + S) B: the other half is its transpose. ``diagonal`` are the blocks of A + S."""
     dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
-    slot = np.zeros(len(starts) - 1, dtype=np.int32)
+    slot = np.empty(len(starts) - 1, dtype=np.int32)
     for a in range(first, last):
         for s in range(coarse_indptr[a], coarse_indptr[a + 1]):
             slot[coarse_indices[s]] = s
         own = coarse_indptr[a]
         for place in range(starts[a], starts[a + 1]):
-            i = order[place]
+            i = np.int64(order[place])
             begin, end = indptr[i], indptr[i + 1]
             for q in range(modes):
                 total = scale(0.5, times(diagonal, dim * dim * np.uint64(i), _moved(q, i, zero, offset, held, kept)))
                 for p in range(begin, end):
-                    j = indices[p]
+                    j = np.int64(indices[p])
                     if j <= i or label[j] < 0:
                         continue
                     force = times(data, dim * dim * np.uint64(p), _moved(q, j, zero, offset, held, kept))

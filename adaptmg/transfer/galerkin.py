@@ -23,7 +23,9 @@ _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is t
 @kernel
 def _pattern(first, last, a_indptr, a_indices, b_indptr, b_indices, columns, counts):
     """Entries of the rows of the product of two patterns, one place further: what row pointers are summed from."""
-    marker = np.full(columns, -1)
+    marker = np.empty(columns, dtype=np.int64)
+    for k in range(columns):
+        marker[k] = -1
     for i in range(first, last):
         count = 0
         for p in range(a_indptr[i], a_indptr[i + 1]):
@@ -36,9 +38,12 @@ def _pattern(first, last, a_indptr, a_indices, b_indptr, b_indices, columns, cou
 
 
 @kernel
-def _multiply(first, last, zero, left, a_indptr, a_indices, a, b_indptr, b_indices, b, columns, indptr, indices, data):
-    """Rows of C = A B, one of them weights, A if ``left`` is a tuple with an entry, B if it is empty."""
-    size, place = len(zero), np.full(columns, -1)
+def _multiply(first, last, zero, left, a_indptr, a_indices, b_indptr, b_indices, weights, blocks, columns, indptr,
+              indices, data):
+    """Rows of C = A B, one of them weights (A if ``left``), the other one blocks."""
+    size, place = len(zero), np.empty(columns, dtype=np.int64)
+    for k in range(columns):
+        place[k] = -1
     for i in range(first, last):
         begin = indptr[i]
         end = begin
@@ -46,8 +51,7 @@ def _multiply(first, last, zero, left, a_indptr, a_indices, a, b_indptr, b_indic
             k = a_indices[s]
             for q in range(b_indptr[k], b_indptr[k + 1]):
                 j = b_indices[q]
-                # the length of a tuple is known when the kernel is compiled
-                weight = a[s] if len(left) else b[q]
+                weight, of = weights[s if left else q], size * (q if left else s)
                 at = place[j]
                 if at < begin:
                     at = end
@@ -57,7 +61,7 @@ def _multiply(first, last, zero, left, a_indptr, a_indices, a, b_indptr, b_indic
                     for c in range(size):
                         data[size * at + c] = 0.0
                 for c in range(size):
-                    data[size * at + c] += weight * (b[size * q + c] if len(left) else a[size * s + c])
+                    data[size * at + c] += weight * blocks[of + c]
 
 
 @kernel
@@ -143,16 +147,15 @@ def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weigh
     """Blocks (indptr, indices, data) times weights, or (``left``) weights times blocks; n ``columns``."""
     # one kind of index arrays, whether a hierarchy holds them or not
     factors = [tuple(map(read_only, blocks[:2])), (read_only(weights.indptr), read_only(weights.indices))]
-    values = [blocks[2], weights.data]
     if left:
-        factors, values = factors[::-1], values[::-1]
+        factors.reverse()
     # kernels know the number of entries of a block when they are compiled
     zero, indptr, rows = (0.0,) * size, np.zeros(len(factors[0][0]), dtype=np.int64), len(factors[0][0]) - 1
     in_parts(_pattern, rows, len(blocks[2]), *factors[0], *factors[1], columns, indptr)
     np.cumsum(indptr, out=indptr)
     indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1] * size)
-    in_parts(_multiply, rows, len(blocks[2]), zero, (0.0,) * left, *factors[0], values[0], *factors[1], values[1],
-             columns, indptr, indices, data)
+    in_parts(_multiply, rows, len(blocks[2]), zero, left, *factors[0], *factors[1], weights.data, blocks[2], columns,
+             indptr, indices, data)
     return indptr.astype(np.int32), indices, data
 
 

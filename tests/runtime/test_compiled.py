@@ -32,6 +32,20 @@ def test_a_call_of_an_inner_kernel_from_python_is_an_error_that_names_it():
     np.testing.assert_array_equal(values, 4.0)
 
 
+@inner_kernel(cache=False)
+def _first(numbers, turned):
+    return numbers[1] if turned else numbers[0]
+
+
+def test_an_inner_kernel_is_compiled_once_for_numbers_in_the_text_and_in_variables():
+    @kernel(cache=False)
+    def all_of_them(a, b, turned):
+        return _first((a, b), turned) + _first((2, 3), False) + _first(numbers=(4, 5), turned=True)
+
+    assert all_of_them(10, 20, True) == 20 + 2 + 5
+    assert len(_first.signatures) == 1
+
+
 def test_a_division_by_zero_is_as_in_numpy():
     @kernel(cache=False)
     def over(a, b):

@@ -132,9 +132,9 @@ def _mark(points, x, y, z):
 
 
 @kernel
-def first_labels(points, cells, n_cells, corners, even, codes):
-    """Turn the corners of each element so that its longest edge comes first, and mark the faces of tetrahedra."""
-    old = np.empty(2 * corners, dtype=np.int32)
+def first_labels(points, cells, n_cells, corners, even, codes, old):
+    """Turn the corners of each element so that its longest edge comes first, and mark the faces of tetrahedra. ``old``
+    (2 * corners,) is overwritten."""
     for e in range(n_cells):
         for k in range(2 * corners):
             old[k] = cells[e, k]

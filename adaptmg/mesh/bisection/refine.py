@@ -89,7 +89,7 @@ def _longer(stamps):
 @inner_kernel
 def _midpoint_of(nodes, a, b):
     """The node that halves the edge (a, b), -1 if it is not cut."""
-    low, high = min(a, b), max(a, b)
+    low, high = (a, b) if a < b else (b, a)
     p = nodes[high, HEAD]
     while p >= 0 and nodes[p, LOW] != low:
         p = nodes[p, NEXT]
@@ -99,7 +99,7 @@ def _midpoint_of(nodes, a, b):
 @inner_kernel
 def _cut_edge(nodes, p, a, b):
     """Enter p, the next free row, as the node that halves the edge (a, b)."""
-    low, high = min(a, b), max(a, b)
+    low, high = (a, b) if a < b else (b, a)
     nodes[p, HEAD] = -1
     nodes[p, NEXT] = nodes[high, HEAD]
     nodes[p, LOW] = low

@@ -45,10 +45,11 @@ def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
     n, corners = mesh.elements.shape
     cells = np.empty((n + int(room * n), 2 * corners + 4), dtype=np.int32)
     cells[:n, :corners] = mesh.elements
-    facets_into_cells(mesh.facets, cells, n, corners, mesh.n_nodes)
+    facets_into_cells(mesh.facets, cells, n, corners, np.full(mesh.n_nodes, -1, dtype=np.int32),
+                      np.empty(len(mesh.facets), dtype=np.int32), np.zeros(mesh.n_nodes, dtype=bool))
     marks, refinement = 2 * corners, mesh.refinement
     if refinement is None:
-        first_labels(mesh.points, cells, n, corners, EVEN, CODES)
+        first_labels(mesh.points, cells, n, corners, EVEN, CODES, np.empty(2 * corners, dtype=np.int32))
         cells[:n, marks + 1] = -1
         cells[:n, marks + 2] = 0
     else:
@@ -92,26 +93,26 @@ def mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: 
 
 
 @inner_kernel
-def _key(nodes, skip, corners):
+def _key(table, row, skip, corners):
     """Sum and largest of the corners but one: with the smallest they tell a face."""
     total, high, low = 0, -1, 2**31
     for k in range(corners):
         if k != skip:
-            total += nodes[k]
-            high = max(high, nodes[k])
-            low = min(low, nodes[k])
+            node = np.int64(table[row, k])
+            total += node
+            if node > high:
+                high = node
+            if node < low:
+                low = node
     return total, high, low
 
 
 @kernel
-def facets_into_cells(facets, cells, n_cells, corners, n_nodes):
-    """Write into the cells which boundary facet lies opposite each corner, -1 where there is none."""
-    # lists of facets by their highest node
-    head = np.full(n_nodes, -1, dtype=np.int32)
-    following = np.empty(len(facets), dtype=np.int32)
-    on_boundary = np.zeros(n_nodes, dtype=np.bool_)
+def facets_into_cells(facets, cells, n_cells, corners, head, following, on_boundary):
+    """Write into the cells which boundary facet lies opposite each corner, -1 where there is none. Lists of facets by
+    their highest node: ``head`` (n_nodes,) comes as -1, and ``on_boundary`` (n_nodes,) as False."""
     for f in range(len(facets)):
-        _, high, _ = _key(facets[f], -1, corners - 1)
+        _, high, _ = _key(facets, f, -1, corners - 1)
         following[f] = head[high]
         head[high] = f
         for k in range(corners - 1):
@@ -125,10 +126,10 @@ def facets_into_cells(facets, cells, n_cells, corners, n_nodes):
             cells[e, corners + k] = -1
             if inside > 1 or (inside == 1 and on_boundary[cells[e, k]]):
                 continue
-            total, high, low = _key(cells[e], k, corners)
+            total, high, low = _key(cells, e, k, corners)
             f = head[high]
             while f >= 0:
-                if _key(facets[f], -1, corners - 1) == (total, high, low):
+                if _key(facets, f, -1, corners - 1) == (total, high, low):
                     cells[e, corners + k] = f
                     found += 1
                     break
