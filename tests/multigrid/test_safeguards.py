@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
+from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
@@ -97,6 +98,18 @@ def test_nothing_takes_over_where_arithmetic_ends():
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-17), throw=False)
     assert result.status is am.Status.STALLED and not result.fallback
     assert result.residual < 1e-11
+
+
+def test_a_large_coarsest_grid_is_factorised_sparse_and_once_where_truncation_leaves_it_singular(monkeypatch):
+    monkeypatch.setattr(CoarseFactors, "DENSE", 0)
+    made, renewed, factors, renew = [], [], CoarseFactors._factors, CoarseFactors.renew
+    monkeypatch.setattr(CoarseFactors, "_factors", lambda self, shift: made.append(shift) or factors(self, shift))
+    monkeypatch.setattr(CoarseFactors, "renew", lambda self: renewed.append(self) or renew(self))
+    grids = am.Hierarchy.graded(am.cases.greco_block(), (12e-3, 9e-3, 6.5e-3), contact_ratio=2)
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
+    result = am.solve(grids, am.FullMultigrid(), reference=exact)
+    assert not result.fallback and result.cycles <= 15 and result.history["true_error"][-1] < 3e-8
+    assert 1 < len(renewed) and len(made) == len(renewed) + 1
 
 
 def test_a_start_that_ran_away_sets_no_tolerance_and_one_uneven_ratio_hands_nothing_over():
