@@ -134,10 +134,17 @@ class LinearCycle:
 
 
 class CoarseFactors:
-    """Solves with the coarsest matrix by dense or sparse factors; a singular one is shifted."""
+    """Solves with the coarsest matrix by dense or sparse factors; a singular one is shifted where it is singular.
 
-    #: a pivot below this times the largest means singular; the shift that makes the matrix regular, over the diagonal
-    SINGULAR, SHIFT = 1e-13, 1e-6
+    Truncation leaves coarse dofs near contact that no remaining fine dof tells apart, mostly the same ones each time:
+    their shift stays, so that each matrix is factorised once. Bodies held by contact alone are singular everywhere.
+    """
+
+    #: solutions of forces of size 1 beyond 1 / SINGULAR mean singular; the shift that makes the matrix regular; both
+    #: over the diagonal
+    SINGULAR, SHIFT = 1e-12, 1e-6
+    #: share of singular dofs up to which the shift stays: a body that contact holds again needs its exact matrix
+    LOCAL = 0.1
     #: dofs up to which dense factors are quicker
     DENSE = 1500
 
@@ -145,22 +152,31 @@ class CoarseFactors:
         self.level, self.custom = level, custom
         scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
+        self._shift = np.zeros(level.n_dofs)
+        self._probe = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
         self._solve: Callable[[np.ndarray], np.ndarray] | None = None
         self._prepared: PreparedSolve | None = None
 
     def renew(self) -> None:
-        if self.custom is None and self.level.n_dofs <= self.DENSE:
-            matrix = _regular_dense(self.level, self._scale)
-            self._solve = _dense_factors(matrix, self.SINGULAR) or _dense_factors(
-                matrix + np.diag(self.SHIFT * self._scale), 0.0)
-            return
-        matrix = _regular_sparse(self.level, self._scale)
         if self.custom is not None:
-            self._prepared = checks.offers("coarse_solve: what setup returns", self.custom.setup(matrix), "solve",
+            self._prepared = checks.offers("coarse_solve: what setup returns",
+                                           self.custom.setup(_regular_sparse(self.level, self._scale)), "solve",
                                            "an object with solve(rhs) -> solution")
             return
-        self._solve = _sparse_factors(matrix, self.SINGULAR) or _sparse_factors(
-            matrix + sparse.diags_array(self.SHIFT * self._scale), 0.0)
+        self._solve = self._factors(self._shift)
+        singular = ~(np.abs(self._solve(self._probe)) < 1 / self.SINGULAR)
+        if singular.any():
+            shift = np.where(singular, self.SHIFT * self._scale, self._shift)
+            self._solve = self._factors(shift)
+            if singular.mean() <= self.LOCAL:
+                self._shift = shift
+
+    def _factors(self, shift: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        if self.level.n_dofs <= self.DENSE:
+            matrix = _regular_dense(self.level, self._scale)
+            matrix.flat[::len(shift) + 1] += shift
+            return _dense_factors(matrix)
+        return _sparse_factors(_regular_sparse(self.level, self._scale) + sparse.diags_array(shift))
 
     def solve(self, load: np.ndarray, result: np.ndarray) -> float:
         """Solve into ``result`` (n_dofs,); returns the passes over the matrix, 0 for factors."""
@@ -173,25 +189,26 @@ class CoarseFactors:
         return checks.nonnegative("coarse_solve: passes", getattr(self._prepared, "passes", 0.0))
 
 
-def _dense_factors(matrix: np.ndarray, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Solves with a matrix, or None if a pivot is below ``singular`` times the largest."""
+def _dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Solves with a matrix; those of a singular one are vast, infinite or NaN."""
     # LAPACK itself: scipy's wrapper warns of what the caller mends
     factors, pivots, _ = linalg.lapack.dgetrf(matrix)
-    sizes = np.abs(factors.diagonal())
-    if singular and not sizes.min() > singular * sizes.max():
-        return None
     return lambda load: linalg.lapack.dgetrs(factors, pivots, load)[0]
 
 
-def _sparse_factors(matrix: sparse.csr_array, singular: float) -> Callable[[np.ndarray], np.ndarray] | None:
+def _sparse_factors(matrix: sparse.csr_array) -> Callable[[np.ndarray], np.ndarray]:
     """As :func:`_dense_factors`, by SuperLU."""
     try:
-        factors = splu(sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A")
+        # pivots off the diagonal fill more than they gain: but for the slip rows of Coulomb the matrix is symmetric
+        return splu(sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3,
+                    options={"SymmetricMode": True}).solve
     except RuntimeError:
         # an exactly vanishing pivot
-        return None
-    sizes = np.abs(factors.U.diagonal())
-    return None if singular and not sizes.min() > singular * sizes.max() else factors.solve
+        return lambda load: np.full_like(load, np.nan)
+
+
+#: sum of the entries of a row, over the diagonal before truncation, up to which the row is empty but for rounding
+EMPTY = 1e-12
 
 
 class PreparedSolve(Protocol):
@@ -226,12 +243,12 @@ class LinearSmoother(Protocol):
 
 
 def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.bsr_array:
-    """The matrix of a level with entries of ``scale`` (n_dofs,) on the diagonal where rows are empty."""
+    """The matrix of a level, with ``scale`` (n_dofs,) on the diagonal where rows are empty but for rounding."""
     matrix = level.matrix()
     row = np.repeat(np.arange(level.n_nodes), np.diff(matrix.indptr))
     sizes = np.zeros((level.n_nodes, level.dim))
     np.add.at(sizes, row, np.abs(matrix.data).sum(axis=2))
-    node, component = np.nonzero(sizes == 0)
+    node, component = np.nonzero(sizes <= EMPTY * scale.reshape(sizes.shape))
     matrix.data[np.flatnonzero(row == matrix.indices)[node], component, component] = scale[level.dim * node + component]
     return matrix
 
@@ -244,7 +261,7 @@ def _regular_sparse(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
 
 def _regular_dense(level: SplitMatrix, scale: np.ndarray) -> np.ndarray:
     matrix = level.dense()
-    empty = np.flatnonzero(~matrix.any(axis=1))
+    empty = np.flatnonzero(np.abs(matrix).sum(axis=1) <= EMPTY * scale)
     matrix[empty, empty] = scale[empty]
     return matrix
 

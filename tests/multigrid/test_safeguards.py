@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 import adaptmg as am
+from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
@@ -97,6 +99,26 @@ def test_nothing_takes_over_where_arithmetic_ends():
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-17), throw=False)
     assert result.status is am.Status.STALLED and not result.fallback
     assert result.residual < 1e-11
+
+
+def test_a_large_coarsest_grid_is_factorised_sparse(monkeypatch):
+    monkeypatch.setattr(CoarseFactors, "DENSE", 0)
+    grids = am.Hierarchy.graded(am.cases.greco_block(), (12e-3, 9e-3, 6.5e-3), contact_ratio=2)
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
+    result = am.solve(grids, am.FullMultigrid(), reference=exact)
+    assert not result.fallback and result.cycles <= 15 and result.history["true_error"][-1] < 3e-8
+
+
+@pytest.mark.parametrize("dense", [0, 10_000])
+def test_where_a_few_dofs_are_singular_only_the_first_matrix_is_factorised_twice(dense, monkeypatch):
+    matrix, made, factors = np.eye(40), [], CoarseFactors._factors
+    matrix[:2, :2] = [[1.0, -1.0], [-1.0, 1.0 + 1e-15]]
+    monkeypatch.setattr(CoarseFactors, "DENSE", dense)
+    monkeypatch.setattr(CoarseFactors, "_factors", lambda self, shift: made.append(shift) or factors(self, shift))
+    coarse = CoarseFactors(split(sparse.bsr_array(matrix, blocksize=(2, 2)), np.zeros(40, dtype=bool)))
+    for count in (2, 3, 4):
+        coarse.renew()
+        assert len(made) == count
 
 
 def test_a_start_that_ran_away_sets_no_tolerance_and_one_uneven_ratio_hands_nothing_over():
