@@ -99,8 +99,7 @@ def compile_all(parent: int) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """End this process when the parent closes our input, or is no more: processes forked from it keep the input open.
-    """
+    """End this process when the parent closes our input or has ended: what it forked keeps the input open."""
     while os.getppid() == parent and not select.select([0], [], [], 0.2)[0]:
         pass
     with SAVING:

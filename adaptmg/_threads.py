@@ -92,7 +92,7 @@ def _tasks_at_a_time() -> int:
     distributed = sys.modules.get("distributed")
     try:
         return 1 if distributed is None else distributed.get_worker().state.nthreads
-    except ValueError:  # this is no worker
+    except ValueError:  # not a worker
         return 1
 
 

@@ -130,7 +130,7 @@ def case_run(**settings: Value) -> dict[str, object]:
 
 def solved(settings: Settings, callback: Callable[[dict[str, float]], None] | None = None,
            each: Callable[[am.Step], None] | None = None, store: str | os.PathLike[str] | None = None) -> Solved:
-    """Solve once, along a load path, or on meshes that follow the error. ``callback`` is told of the progress, ``each``
+    """Solve once, along a load path, or on meshes that follow the error. ``callback`` is given the progress, ``each``
     of every step of an adaptive loop, which ``store`` keeps."""
     problem, path = problem_of(section(settings, "case")), build.load_path(settings)
     if section(settings, "adapt"):

@@ -38,7 +38,7 @@ from adaptmg.problem.plane_domains import Domain, Outline
 _LARGE, _LONG, _FAR = {2: 1.25, 3: 2**0.5}, 1.4, 1.3
 # share of the elements (of the facets) that may stay too large, though by less than this
 _LEFT, _NEVER = 0.01, 2**0.5
-# share of the elements that is improved after a pass if so many were too large; rounds in the end
+# share of too large elements above which a pass is followed by improvement; rounds of it in the end
 _MANY, _ROUNDS = {2: 0.3, 3: 0.02}, 3
 # area or volume of the equilateral element of size 1
 _EQUILATERAL = {2: 3**0.5 / 4, 3: 2**0.5 / 12}

@@ -120,7 +120,7 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     Raises
     ------
     TypeError, ValueError
-        If it is no NGSolve mesh; on other elements, curved or of second order, a deformation, periodic boundaries,
+        If it is not an NGSolve mesh; on other elements, curved or of second order, a deformation, periodic boundaries,
         dimensions other than 2 and 3, or a mesh that is not sound (:func:`adaptmg.mesh.check_mesh`).
 
     Examples

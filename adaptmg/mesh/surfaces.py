@@ -1,4 +1,4 @@
-r"""The surfaces that faces of solids lie on, as far as they are of revolution, and new nodes put onto them.
+r"""The surfaces of revolution that faces of solids lie on, and new nodes put onto them.
 
 A plane, cylinder, cone, sphere or torus is a straight line or a circle of a half plane (r, z), turned about an axis. It
 is found from points and normals that OCC gives. All normals of such a surface meet its axis: with the moment

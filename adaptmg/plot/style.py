@@ -55,7 +55,7 @@ class _Picture(Figure):
     """A figure that notebooks show without pyplot; it is saved whole, without empty margins."""
 
     def draw(self, renderer: RendererBase) -> None:
-        """Draw with a layout that has settled: axes of fixed proportions move what stands beside them."""
+        """Draw with a layout that has settled: axes of fixed proportions move what stands next to them."""
         before, engine = np.inf, self.get_layout_engine()
         fixed = any(ax.name == "3d" or ax.get_aspect() != "auto" for ax in self.axes)
         for _ in range(4 if engine is not None and fixed else 0):

@@ -250,7 +250,7 @@ class Evidence:
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Penetration, tension, complementarity."""
         pulling = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
-        # each in its scale: a force of rounding times a gap of a thousand displacements is no work of contact
+        # each in its scale: a force of rounding times a gap of a thousand displacements is not work of contact
         both = np.minimum(_shares(self.pressure, self.force), _shares(self.gap, self.length))
         complementarity = Condition("complementarity", float(both.max(initial=0.0)), _norm(both), "", _norm(both),
                                     _over(self.rounding, self.force) + 16 * _EPSILON)

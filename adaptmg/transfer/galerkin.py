@@ -115,7 +115,7 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
 
 def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_array:
     """A prolongation without what it gives to nodes of which the next finer level takes nothing. The diagonal that
-    :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next one) is no stiffness: in the
+    :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next) is not stiffness: in the
     next product it would hold the coarser functions at zero there."""
     if finer is None:
         return nodal

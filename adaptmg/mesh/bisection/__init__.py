@@ -96,7 +96,7 @@ def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int =
     Raises
     ------
     ValueError
-        On an unknown boundary, ``levels`` < 1, or so many that more than 5 million nodes (3D: 2 million) are expected:
+        On an unknown boundary, ``levels`` < 1, or where more than 5 million nodes (3D: 2 million) are expected:
         each level doubles the elements at the boundaries (3D: four times).
 
     Notes
