@@ -93,11 +93,13 @@ def small(divisions: int) -> dict:
 def large(dim: int, divisions: int) -> dict:
     """From problem to solution in passes over the finest matrix; pyamg on the glued matrix; memory."""
     warm_up(dim)
-    begin = time.process_time()
-    grids = bar(divisions, dim=dim)
-    built = time.process_time()
-    result = am.solve(grids, am.FullMultigrid())
-    whole, solve = time.process_time() - begin, time.process_time() - built
+    whole, solve = float("inf"), float("inf")
+    for _ in range(2):      # the first run pays for memory that the process never used, up to twice the time
+        begin = time.process_time()
+        grids = bar(divisions, dim=dim)
+        built = time.process_time()
+        result = am.solve(grids, am.FullMultigrid())
+        whole, solve = min(whole, time.process_time() - begin), min(solve, time.process_time() - built)
     matrix = grids.finest.matrix
     one_pass = (matrix.data.nbytes + matrix.indices.nbytes) / triad()
     problem = glued(grids)
