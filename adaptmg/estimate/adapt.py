@@ -64,7 +64,7 @@ def adapt(problem: ContactProblem,
     indicator : Residual, Recovery, Goal or an object with ``indicate(hierarchy, result) -> Estimate``, optional
         Default ``Residual()``.
     mark : Doerfler, Maximum or an object with ``mark(estimate) -> mask of elements``, optional
-        Default ``Doerfler(0.5)``.
+        Default ``Doerfler()``.
     engine : Remesh, Bisect or an object with ``refine(problem, mesh, estimate, marked, max_nodes=None)``, optional
         See :class:`adaptmg.estimate.step.Engine`. Default ``Remesh()``, for a :class:`adaptmg.Goal`
         ``Remesh(refinements=0)``, and ``Bisect()`` for a problem without a domain, which in 3D is several times
@@ -117,7 +117,7 @@ def adapt(problem: ContactProblem,
     if engine is None:
         # errors of single quantities scatter less on Netgen's own meshes
         engine = Bisect() if problem.domain is None else Remesh(refinements=0 if isinstance(indicator, Goal) else 1)
-    parts = Parts(Residual() if indicator is None else indicator, Doerfler(0.5) if mark is None else mark, engine,
+    parts = Parts(Residual() if indicator is None else indicator, Doerfler() if mark is None else mark, engine,
                   solver, load_path, adapt_on)
     _check(parts)
     if not isinstance(progress, bool):

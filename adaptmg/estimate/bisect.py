@@ -4,6 +4,11 @@ Each marked element is bisected, its neighbours as far as conformity asks; new n
 onto :attr:`ContactProblem.domain <adaptmg.ContactProblem>`. Elements that together hold less than a given part of the
 sum of squares may go back to the element they came from, never below the first mesh.
 
+Halving all edges leaves :math:`2^{-(2+d)}` of a square where the solution is smooth. Marked elements of which more than
+half of the mean square would be left, as at singularities, are halved twice, so that large steps lose nothing: measured
+on six problems, theta .8 takes .55 to .8 of the seconds to an energy error that single halvings with theta .5 take,
+with as many nodes (a bolted junction: a third more).
+
 The first mesh decides on the shapes of all others. Regular ones stay regular: rectangles and boxes begin with them.
 Measured at equal nodes, from such a mesh instead of one by Netgen, the energy error is 3 % less in 2D, and 20 % (two
 boxes) to 30 % (one) in 3D.
@@ -31,8 +36,10 @@ from adaptmg.problem import Assembly, Box, ContactProblem, Rectangle
 _TRIES = 12
 #: the part of the room that must be used, and that is aimed at
 _ENOUGH, _AIM = 0.9, 0.95
-#: the power of the number of marks by which nodes grow, as first assumed
-_POWER = 0.7
+#: nodes that a mark adds by dimension, and the power of the number of marks by which nodes grow, as first assumed
+_NODES, _POWER = {2: 1.9, 3: 2.5}, 0.8
+#: elements are halved twice where once leaves more than this part of the mean square, and of the smallest marked one
+_LEFT = 0.5
 #: elements below this part of the largest coordinate are not bisected: rounding would decide on their shape
 _FINEST = 1e-9
 
@@ -53,8 +60,8 @@ class Bisect:
         squares of the marked elements. Above 0 and below 1; .02 to .1 are sensible. Nothing is taken back where the
         mesh would not grow. False: nothing becomes coarser, and meshes are nested (but for nodes moved onto curves).
     passes : int, optional
-        How often a marked element is bisected, >= 1. By default until all its edges are halved: 4 triangles, at least
-        8 tetrahedra. With 1 meshes grow least, and the loop takes more steps.
+        How often a marked element is bisected, >= 1. By default until all its edges are halved, 4 triangles, at least
+        8 tetrahedra, or halved twice where squares are large. With 1 meshes grow least, and the loop takes more steps.
 
     Examples
     --------
@@ -114,16 +121,28 @@ class Bisect:
         fine = self._within(mesh, squares, marked, limit)
         return mesh if fine is None else onto_domain(problem.domain, fine, mesh.n_nodes)
 
+    def _halved(self, mesh: MeshArrays, squares: np.ndarray, chosen: np.ndarray, limit: float) -> MeshArrays:
+        """Refined, large squares twice unless that exceeds the limit."""
+        fine = refined(mesh, chosen, self.passes)
+        enough = 2.0 ** (2 + mesh.dim) * _LEFT * max(squares.mean(), squares[chosen].min())
+        again = chosen & (squares > enough)
+        if self.passes is None and again.any() and fine.mesh.n_nodes < limit:
+            finer = refined(fine.mesh, again[fine.origin]).mesh
+            return finer if finer.n_nodes <= limit else fine.mesh
+        return fine.mesh
+
     def _within(self, mesh: MeshArrays, squares: np.ndarray, marked: np.ndarray, limit: float) -> MeshArrays | None:
         """Refined, with fewer elements marked until the nodes are within the limit; None if not even one is."""
         order = np.flatnonzero(marked)
         order = order[np.argsort(-squares[order], kind="stable")]
         room, most, fits, best = limit - mesh.n_nodes, len(order) + 1, 0, None
-        count, tried = len(order), (0, 0)
+        count, tried, expected = len(order), (0, 0), _NODES[mesh.dim] * len(order)
+        if 0 < room < expected / 1.2:
+            count = max(int(count * (_AIM * room / expected) ** (1 / _POWER)), 1)
         for attempt in range(_TRIES if room > 0 else 0):
             chosen = np.zeros(len(marked), dtype=bool)
             chosen[order[:count]] = True
-            fine = refined(mesh, chosen, self.passes).mesh
+            fine = self._halved(mesh, squares, chosen, limit)
             added = fine.n_nodes - mesh.n_nodes
             if added <= room:
                 fits, best = count, fine

@@ -238,7 +238,7 @@ def test_cycles_and_work_are_those_of_all_load_steps_and_all_meshes():
     assert found["work_units"] == pytest.approx(sum(step.work_units for step in steps))
     for factors in (None, (0.5, 1.0)):
         with_path = {} if factors is None else {"load_path.top": factors}
-        meshes = list(am.adapt(problem, 10e-3, am.Residual(), am.Doerfler(0.5), am.Bisect(), max_nodes=150,
+        meshes = list(am.adapt(problem, 10e-3, am.Residual(), am.Doerfler(), am.Bisect(), max_nodes=150,
                                load_path=None if factors is None else am.LoadPath({"top": list(factors)})))
         found = case_run(**given, **with_path, **{"adapt.start": 10e-3, "adapt.engine": "bisect",
                                                   "adapt.max_nodes": 150})

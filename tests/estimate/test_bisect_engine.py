@@ -10,6 +10,7 @@ from bisected_meshes import SQUARE, as_sets, cube, random_mask, verified
 import adaptmg as am
 from adaptmg.estimate.bisect import divisible
 from adaptmg.mesh import bisect, graded, structured
+from adaptmg.mesh.bisection.refine import refined
 from adaptmg.problem import Outline
 
 PROBLEM = am.cases.greco_bar()
@@ -31,9 +32,16 @@ def largest(estimate, part):
 def test_it_bisects_what_is_marked():
     estimate = estimate_of(MESH)
     marked = largest(estimate, 0.2)
-    for passes in (None, 1):
+    for passes in (1, 3):
         fine = verified(am.Bisect(passes=passes).refine(PROBLEM, MESH, estimate, marked))
         assert as_sets(fine) == as_sets(bisect(MESH, marked, passes)[0])
+    # twice where once would leave more than half of the mean square, and of the smallest that is marked
+    for part, deep in ((0.2, estimate.squares.mean()), (0.05, estimate.squares[largest(estimate, 0.05)].min())):
+        marked, twice = largest(estimate, part), estimate.squares > 8 * deep
+        once = refined(MESH, marked)
+        assert 0 < twice.sum() < marked.sum()
+        expected = refined(once.mesh, twice[once.origin]).mesh
+        assert as_sets(verified(am.Bisect().refine(PROBLEM, MESH, estimate, marked))) == as_sets(expected)
     assert am.Bisect().refine(PROBLEM, MESH, estimate, ~np.ones_like(marked)) is MESH
     for limit in (1, MESH.n_nodes - 1, MESH.n_nodes):
         for engine in (am.Bisect(), am.Bisect(coarsen=0.05)):
