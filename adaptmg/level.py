@@ -87,10 +87,11 @@ class Level:
 
     __repr__ = brief
 
-    def posing(self, discrete: DiscreteProblem) -> Level:
-        """The level with the data of a load step; nothing else is read or made."""
+    def posing(self, **parts: object) -> Level:
+        """The level with other parts (the data of a load step, a prolongation), which have been checked."""
         result = copy.copy(self)
-        object.__setattr__(result, "discrete", discrete)
+        for name, value in parts.items():
+            object.__setattr__(result, name, value)
         return result
 
     @property
@@ -149,7 +150,7 @@ def reposed(levels: Sequence[Level], problem: ContactProblem, before: ContactPro
     from adaptmg.discrete.discretise import changed_parts, rediscretise
 
     changed = changed_parts(problem, before)
-    return [level.posing(rediscretise(problem, level.mesh, level.discrete, changed)) for level in levels]
+    return [level.posing(discrete=rediscretise(problem, level.mesh, level.discrete, changed)) for level in levels]
 
 
 def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
@@ -169,8 +170,9 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
     from adaptmg.transfer.contact_rows import between_levels
 
     found = between_levels(transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows)
-    return replace(above, prolongation=found.prolongation, surface_prolongation=found.surface,
-                   mesh_ratio=OnDemand(partial(_ratio_to, below.mesh)))
+    return above.posing(prolongation=indices_frozen(found.prolongation),
+                        surface_prolongation=None if found.surface is None else indices_frozen(found.surface),
+                        mesh_ratio=OnDemand(partial(_ratio_to, below.mesh)))
 
 
 def need_domain(problem: ContactProblem) -> None:

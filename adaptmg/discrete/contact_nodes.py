@@ -145,10 +145,14 @@ _ASYMMETRY = 1e-8
 def bounded(name: str, value: object, shape: tuple[int | None, ...], largest: float = LARGEST) -> np.ndarray:
     """A read-only copy as float64, of a size that energies bear."""
     result = check_arrays.array(name, value, shape)
-    size = np.abs(result).max(initial=0.0)
-    if not size <= largest:
+    if not (size := largest_entry(result)) <= largest:
         raise ValueError(f"{name} must be at most {largest:g} in SI units, got {size:.3g}")
     return result
+
+
+def largest_entry(values: np.ndarray) -> float:
+    """The largest magnitude of an array; 0 of an empty one."""
+    return max(values.max(initial=0.0), -values.min(initial=0.0))
 
 
 def check_size(name: str, size: float) -> None:
@@ -169,9 +173,10 @@ def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
                         f"got {checks.shown(value) if given.dtype == object else given.dtype}")
     if given.ndim != 1 or (n is not None and len(given) != n):
         raise ValueError(f"{name} must have shape ({'n' if n is None else n},), got {given.shape}")
-    result = given.copy()
-    result.flags.writeable = False
-    return result
+    if given.base is not None or given.flags.writeable:
+        given = given.copy()
+        given.flags.writeable = False
+    return given
 
 
 def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
@@ -190,22 +195,15 @@ def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
 def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
     """A stiffness matrix in blocks, symmetric with a positive diagonal."""
     matrix = check_arrays.square_blocks("matrix", value, dim)
-    scale = np.abs(matrix.data).max(initial=0.0)
+    scale, diagonal = largest_entry(matrix.data), matrix.diagonal()
     if not scale > 0:
         raise ValueError("matrix is zero")
     check_size("matrix", scale)
-    with_positive_diagonal(matrix)
-    _check_symmetry(matrix, matrix.diagonal())
-    return matrix
-
-
-def with_positive_diagonal(matrix: sparse.bsr_array) -> sparse.bsr_array:
-    """The matrix itself, if its diagonal is positive, of a size that a physical problem can have."""
-    diagonal, dim = matrix.diagonal(), matrix.blocksize[0]
     if not (diagonal > 0).all():
         i = int(np.argmin(diagonal))
         raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
     check_size("matrix", diagonal.max())
+    _check_symmetry(matrix, diagonal)
     return matrix
 
 

@@ -98,6 +98,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
              "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
+    for array in (parts["load"], fixed, values, *bodies.values()):
+        array.flags.writeable = False  # what nobody writes is not copied
     if weights is None:
         return DiscreteProblem.assembled(**parts)
     return DiscreteProblem.coupled(**parts, weights=weights)
@@ -147,7 +149,7 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
     """Contact nodes and what they face; without slave nodes that should be exchanged for others and cannot."""
     excluded = np.empty(0, dtype=np.int64)
     while True:
-        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded)
+        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded, fixed=fixed)
         if weights is None:
             return contact, None
         law = problem.law.at_nodes(mesh.points[contact.nodes], contact.weights)
@@ -160,23 +162,22 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
 
 
 def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
+    if len(mesh.bodies) == 1:
+        return {mesh.bodies[0]: np.arange(mesh.n_nodes)}
     result = {}
     for k, name in enumerate(mesh.bodies):
         used = np.zeros(mesh.n_nodes, dtype=bool)
-        used[mesh.elements if len(mesh.bodies) == 1 else mesh.elements[mesh.element_body == k]] = True
+        used[mesh.elements[mesh.element_body == k]] = True
         result[name] = np.flatnonzero(used)
     return result
 
 
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
     """Raise ValueError if a body has neither a support nor a surface in contact."""
-    held = np.zeros(mesh.n_nodes, dtype=bool)
-    for name in problem.pair_boundaries:
-        held[mesh.boundary_facets(name)] = True
-    for support in problem.supports:
-        held[supported_nodes(mesh, support)] = True
+    held = np.concatenate([*(mesh.boundary_facets(name).reshape(-1) for name in problem.pair_boundaries),
+                           *(supported_nodes(mesh, support) for support in problem.supports)])
     for name, nodes in bodies.items():
-        if not held[nodes].any():
+        if not (np.searchsorted(nodes, held) < np.searchsorted(nodes, held, "right")).any():
             raise ValueError(f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
                              "support or a contact pair, or leave it out")
 
@@ -195,14 +196,16 @@ class _Part:
 
 
 def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
-                 excluded: np.ndarray | None = None) -> tuple[ContactNodes, sparse.csr_array | None]:
+                 excluded: np.ndarray | None = None, fixed: np.ndarray | None = None
+                 ) -> tuple[ContactNodes, sparse.csr_array | None]:
     """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow. ``excluded``
-    slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m."""
-    owner = np.full(mesh.n_nodes, -1)
+    slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m; ``fixed`` are the
+    prescribed dofs."""
+    owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
     facets = [named_facets(mesh, contact.boundary) for contact in problem.contact]
     for k in reversed(range(len(facets))):
         owner[facets[k]] = k
-    fixed = fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim)
+    fixed = (fixed_dofs(mesh, problem.supports)[0] if fixed is None else fixed).reshape(-1, mesh.dim)
     parts = []
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
@@ -256,7 +259,8 @@ def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, fa
     weights = _lumped_masses(problem, mesh, facets, nodes, k, averaged)
     normals, gaps = _facing(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
     gaps = np.array(gaps, dtype=np.float64)
-    gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
+    if len(nodes) and gaps.min() < 0:
+        gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
     if len(nodes) and gaps.min() < 0 and not contact.allow_interference:
         deepest = int(np.argmin(gaps))
         raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
@@ -268,16 +272,14 @@ def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, fa
 def _lumped_masses(problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray], nodes: np.ndarray, k: int,
                    normals: np.ndarray) -> np.ndarray:
     """Boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
-    index = np.full(mesh.n_nodes, -1)
-    index[nodes] = np.arange(len(nodes))
     weights = np.zeros(len(nodes))
     for other, mine in enumerate(facets):
         if other != k and isinstance(problem.contact[other], ContactPair):
             continue
         vectors = area_vectors(mesh.points, mine)
         for corner, share in zip(mine.T, shape_integrals(mesh.points, mine, problem.axisymmetric).T, strict=True):
-            at = index[corner]
-            here = at >= 0
+            at = np.searchsorted(nodes, corner)
+            here = at < np.searchsorted(nodes, corner, "right")
             facing = np.linalg.norm(vectors[here], axis=1)
             if other != k:
                 facing = np.maximum(0.0, np.sum(vectors[here] * normals[at[here]], axis=1))

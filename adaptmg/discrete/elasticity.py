@@ -89,9 +89,12 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     other displacement. Without it the matrix is finite still.
     """
     materials = body_materials(mesh, material)
-    _check_numbers(mesh)
+    if not mesh.sound:
+        _check_numbers(mesh)
     dim = mesh.dim
     indptr, indices, *of_nodes = _pattern(mesh.elements, mesh.n_nodes)
+    if not (indptr[1:] > indptr[:-1]).all():
+        raise ValueError(f"node {np.argmin(indptr[1:] > indptr[:-1])} belongs to no element; remove unused nodes")
     data = np.empty((len(indices), dim, dim))
     arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
     if dim == 3:
@@ -110,6 +113,8 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
                          "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
     if len(indices) < 2**31:
         indptr = indptr.astype(np.int32)
+    for array in (indices, indptr):
+        array.flags.writeable = False
     n_dofs = dim * mesh.n_nodes
     matrix = sparse.bsr_array((data, indices, indptr), shape=(n_dofs, n_dofs), copy=False)
     matrix.has_sorted_indices = True

@@ -100,9 +100,9 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
     Where two supports meet, they must agree or prescribe different components. ValueError for a boundary or point the
     mesh does not have, a z component in 2D, two values for one dof, or functions with values that are not finite.
     """
-    fixed = np.zeros((mesh.n_nodes, mesh.dim), dtype=bool)
-    values = np.zeros((mesh.n_nodes, mesh.dim))
-    origin = np.full((mesh.n_nodes, mesh.dim), -1)
+    mask, all_values = np.zeros(mesh.points.size, dtype=bool), np.zeros(mesh.points.size)
+    fixed, values = (array.reshape(mesh.points.shape) for array in (mask, all_values))
+    origin = np.zeros(mesh.points.shape, dtype=np.int64)  # of fixed ones
     supports = [_of_symmetry(mesh, one) if isinstance(one, Symmetry) else one for one in supports]
     for k, support in enumerate(supports):
         nodes = supported_nodes(mesh, support)
@@ -119,4 +119,4 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
                                  f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
                                  f"{tuple(mesh.points[node].tolist())}: give both the same value or free one")
             fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, prescribed, k
-    return fixed.reshape(-1), values.reshape(-1)
+    return mask, all_values

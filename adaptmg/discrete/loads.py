@@ -42,7 +42,8 @@ def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | N
     """
     materials = None if material is None else body_materials(mesh, material)
     axisymmetric = materials is not None and is_axisymmetric(materials)
-    result = np.zeros((mesh.n_nodes, mesh.dim))
+    vector = np.zeros(mesh.points.size)
+    result = vector.reshape(mesh.points.shape)
     for load in loads:
         if isinstance(load, InitialStrain):
             if materials is None:
@@ -56,7 +57,7 @@ def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | N
             vectors = area_vectors(mesh.points, cells)
             measures = np.linalg.norm(vectors, axis=1)
             _add(result, mesh, cells, measures, load, axisymmetric, vectors / measures[:, None])
-    return result.reshape(-1)
+    return vector
 
 
 def _add(result: np.ndarray, mesh: MeshArrays, cells: np.ndarray, measures: np.ndarray,
@@ -68,8 +69,7 @@ def _add(result: np.ndarray, mesh: MeshArrays, cells: np.ndarray, measures: np.n
     if axisymmetric:
         weights = weights * (2 * np.pi * points[:, :, 0])
     nodal = np.einsum("cq,qk,cqd->ckd", weights, rule, load_density(load, points, normals), optimize=True)
-    for d in range(mesh.dim):
-        result[:, d] += np.bincount(cells.reshape(-1), weights=nodal[:, :, d].reshape(-1), minlength=len(result))
+    np.add.at(result, cells, nodal)
 
 
 def load_density(load: BodyForce | Pressure | Traction, points: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
@@ -123,8 +123,7 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[
         r = quadrature_points(mesh.points, cells, rule)[:, :, 0]
         forces[:, :, 0] += np.einsum("eq,qc->ec", weights * stress[:, :, 2] / r, rule)
     result = np.zeros(mesh.points.shape)
-    for d in range(dim):
-        result[:, d] = np.bincount(cells.reshape(-1), weights=forces[:, :, d].reshape(-1), minlength=mesh.n_nodes)
+    np.add.at(result, cells, forces)
     return result
 
 

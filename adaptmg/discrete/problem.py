@@ -35,7 +35,7 @@ from adaptmg.discrete.contact_nodes import (
     checked_bodies,
     checked_mask,
     checked_matrix,
-    with_positive_diagonal,
+    largest_entry,
 )
 from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.exchange import Exchange, exchanged
@@ -192,19 +192,21 @@ class DiscreteProblem(Unknowns):
         checks.boundary_name("name", self.name)
         dim = self.contact.dim
         own = "_assembled" in self.__dict__
-        matrix = with_positive_diagonal(self.matrix) if own else checked_matrix(self.matrix, dim)
+        matrix = self.matrix if own else checked_matrix(self.matrix, dim)
         n = matrix.shape[0]
         self.contact.check_nodes(n // dim)
         if self.exchange is None:
             self.contact.check_name_contact()
         fixed = checked_mask("fixed", self.fixed, n)
         load = bounded("load", self.load, (n,))
-        check_size("load", np.abs(load).max())
+        check_size("load", largest_entry(load))
         values = np.zeros(n) if self.fixed_values is None else self.fixed_values
-        if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
+        if not own and isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
             values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
-        values = np.where(fixed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
-        values.flags.writeable = False
+        values = bounded("fixed_values", values, (n,), checks.VAST)
+        if not own:
+            values = np.where(fixed, values, 0.0)
+            values.flags.writeable = False
         arrays = {"matrix": indices_frozen(matrix), "load": load, "fixed": fixed, "fixed_values": values}
         if self.coordinates is not None:
             arrays["coordinates"] = bounded("coordinates", self.coordinates, (n // dim, dim), checks.VAST)

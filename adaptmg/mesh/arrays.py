@@ -6,7 +6,7 @@ is identified by its sorted nodes :math:`a < b (< c)`, packed into one integer :
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -65,6 +65,16 @@ class Refinement:
         return type(self), tuple(getattr(self, one.name) for one in fields(self))
 
 
+@dataclass(frozen=True)
+class Lattice:
+    """The nodes of a body of a structured mesh: x runs fastest, and each cell is cut along its diagonal from the lowest
+    to the highest corner."""
+
+    lower: tuple[float, ...]  # corners of the rectangle or box
+    upper: tuple[float, ...]
+    counts: tuple[int, ...]  # cells along each axis
+
+
 @dataclass(frozen=True, eq=False)
 class MeshArrays:
     """A mesh of triangles or tetrahedra with named boundaries.
@@ -97,6 +107,8 @@ class MeshArrays:
     refinement : Refinement or None
         The history of a bisected mesh, which further bisection and coarsening need. Pickled, but not saved in a result;
         a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
+    lattices : tuple of Lattice
+        By which interpolation between structured meshes needs no search, one a body; empty for other meshes.
 
     Examples
     --------
@@ -116,6 +128,7 @@ class MeshArrays:
     source: ngsolve.Mesh | None = field(default=None, repr=False)
     sound: bool = field(default=False, init=False, repr=False)
     refinement: Refinement | None = field(default=None, init=False, repr=False)
+    lattices: tuple[Lattice, ...] = field(default=(), init=False, repr=False)
 
     if TYPE_CHECKING:
         def __init__(self, points: ArrayLike, elements: ArrayLike, facets: ArrayLike, facet_labels: ArrayLike,
@@ -126,7 +139,10 @@ class MeshArrays:
         for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
                             ("facet_labels", np.int32)):
             object.__setattr__(self, name, _frozen(name, getattr(self, name), dtype))
-        body = np.zeros(len(self.elements), dtype=np.int32) if self.element_body is None else self.element_body
+        body = self.element_body
+        if body is None:
+            body = np.zeros(len(self.elements), dtype=np.int32)
+            body.flags.writeable = False
         object.__setattr__(self, "element_body", _frozen("element_body", body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
@@ -142,7 +158,8 @@ class MeshArrays:
     def __reduce__(self) -> tuple:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
         return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
-                            self.element_body, self.bodies), {"sound": self.sound, "refinement": self.refinement}
+                            self.element_body, self.bodies), {name: getattr(self, name)
+                                                       for name in ("sound", "refinement", "lattices")}
 
     def __copy__(self) -> MeshArrays:
         # what is frozen needs no second copy, and a source that nobody has asked for yet is built once
@@ -225,9 +242,11 @@ def swept(mesh: MeshArrays) -> MeshArrays:
                                          facets=number[mesh.facets], element_body=mesh.element_body[rows]))
 
 
-def sound_by_construction(mesh: MeshArrays) -> MeshArrays:
+def sound_by_construction(mesh: MeshArrays, lattices: Iterable[Lattice] = ()) -> MeshArrays:
     """The mesh, not checked (it was written down as it must be), with a source on demand."""
-    return trusted(mesh, OnDemand(_ngsolve_mesh))
+    result = trusted(mesh, OnDemand(_ngsolve_mesh))
+    object.__setattr__(result, "lattices", tuple(lattices))
+    return result
 
 
 def _ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:

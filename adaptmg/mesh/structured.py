@@ -18,7 +18,7 @@ from typing import TypeVar
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MOST_NODES, MeshArrays, facet_table, sound_by_construction
+from adaptmg.mesh.arrays import MOST_NODES, Lattice, MeshArrays, facet_table, sound_by_construction
 from adaptmg.mesh.domains import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.plane_domains import Box, Domain, Rectangle
@@ -96,9 +96,15 @@ def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> Me
     cells = _cells(counts, np.arange(counts[-1]))
     elements = _triangles(cells, counts, diagonal) if dim == 2 else _kuhn(cells, counts)
     facets, labels = _boundary(domain.boundaries, counts)
-    # x fastest: the last axis goes first in the lattice
-    points = np.stack(np.meshgrid(*sides[::-1], indexing="ij")[::-1], axis=-1).reshape(-1, dim)
-    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries))
+    points = np.empty((math.prod(n + 1 for n in counts), dim))
+    for k, side in enumerate(sides):
+        # x fastest: the last axis goes first in the lattice
+        points.reshape(*(n + 1 for n in counts[::-1]), dim)[..., k] = side.reshape(-1, *[1] * k)
+    for array in (points, elements):
+        array.flags.writeable = False
+    lattice = Lattice(tuple(domain.lower), tuple(domain.upper), counts)
+    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries),
+                                 [lattice] if diagonal == "right" else [])
 
 
 def _cells(counts: tuple[int, ...], last: np.ndarray, *, axis: int = -1) -> np.ndarray:
@@ -161,7 +167,9 @@ def _triangles(cells: np.ndarray, counts: tuple[int, ...], diagonal: str) -> np.
     if diagonal == "alternating":
         even = (cells // above + cells % above) % 2 == 0
         offsets = np.where(even[:, None], right, left)
-    return (cells[:, None] + offsets).reshape(-1, 3)
+    result = np.empty((2 * len(cells), 3), dtype=np.int32)
+    np.add(cells[:, None], offsets, out=result.reshape(-1, 6))
+    return result
 
 
 def _kuhn(cells: np.ndarray, counts: tuple[int, ...]) -> np.ndarray:
@@ -171,7 +179,9 @@ def _kuhn(cells: np.ndarray, counts: tuple[int, ...]) -> np.ndarray:
         offsets = np.cumsum(np.r_[0, stride[list(path)]])
         odd = np.linalg.det(np.eye(3)[list(path)]) < 0
         tetrahedra.append(offsets[[0, 1, 3, 2]] if odd else offsets)
-    return (cells[:, None, None] + np.array(tetrahedra, dtype=np.int32)).reshape(-1, 4)
+    result = np.empty((6 * len(cells), 4), dtype=np.int32)
+    np.add(cells[:, None, None], np.array(tetrahedra, dtype=np.int32), out=result.reshape(-1, 6, 4))
+    return result
 
 
 Value = TypeVar("Value")
@@ -231,7 +241,8 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
         facets=np.concatenate([mesh.facets + start for mesh, start in zip(parts, nodes, strict=True)]),
         facet_labels=np.concatenate([mesh.facet_labels + start for mesh, start in zip(parts, labels, strict=True)]),
         boundaries=tuple(f"{body}.{name}" for body, mesh in meshes.items() for name in mesh.boundaries),
-        element_body=np.repeat(np.arange(len(parts)), [len(mesh.elements) for mesh in parts]), bodies=tuple(meshes)))
+        element_body=np.repeat(np.arange(len(parts)), [len(mesh.elements) for mesh in parts]), bodies=tuple(meshes)),
+        [mesh.lattices[0] for mesh in parts] if all(mesh.lattices for mesh in parts) else [])
 
 
 def _starts(counts: Iterable[int]) -> np.ndarray:

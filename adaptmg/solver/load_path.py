@@ -410,7 +410,7 @@ class PathLoop:
                 if self.past.given:
                     reference = problem.at_contact(self.past.levels[number - offset])
                 step = problem.with_step(loads.load(factors), loads.fixed_values(factors), reference)
-                level = level.posing(step)
+                level = level.posing(discrete=step)
             levels.append(level)
         return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))
 

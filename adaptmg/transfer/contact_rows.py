@@ -28,6 +28,7 @@ from scipy.sparse.csgraph import connected_components
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import kernel
+from adaptmg.discrete.contact_nodes import largest_entry
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
@@ -119,9 +120,10 @@ def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.c
         raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
                          f"got {returned.shape}")
     nodal = check_arrays.sparse_matrix(f"what transfer.build of {checks.shown(transfer)} returns", returned)
-    # products sort in place, and prolongations are read-only
-    nodal = sparse.csr_array(nodal, dtype=np.float64).sorted_indices()
-    largest = np.abs(nodal.data).max(initial=0.0)
+    nodal = sparse.csr_array(nodal, dtype=np.float64)
+    if not nodal.has_sorted_indices:  # products sort in place, and prolongations are read-only
+        nodal = nodal.sorted_indices()
+    largest = largest_entry(nodal.data)
     if not 1 / checks.VAST <= largest <= checks.VAST:
         raise ValueError(f"transfer.build of {checks.shown(transfer)} must return weights of about 1, the largest is "
                          f"{largest:.3g}")
