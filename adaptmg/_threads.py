@@ -25,6 +25,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order
 
 from adaptmg import _checks as checks
+from adaptmg._runtime import kernel, read_only
 
 #: numbers read from which a kernel is cut into this many parts; the least number of strips that pays
 LARGE, PARTS, FEWEST = 1_000_000, 16, 4
@@ -200,20 +201,24 @@ def in_colours(colours: list[list[tuple[int, int]]], kernel: Callable[..., Any],
     return _shared(colours, kernel, arguments)
 
 
-def product(matrix: sparse.bsr_array, vector: np.ndarray, of: Callable[[Any], Any] | None = None) -> np.ndarray:
-    """A v (n,), or f(A) v with ``of`` the function f of the rows of A."""
-    if matrix.data.size < LARGE:
-        return (matrix if of is None else of(matrix)) @ vector
-    dim, result = matrix.blocksize[0], np.empty(matrix.shape[0])
-
-    def multiply(first: int, last: int) -> None:
-        begin, end = matrix.indptr[first], matrix.indptr[last]
-        blocks = matrix.data[begin:end], matrix.indices[begin:end], matrix.indptr[first:last + 1] - begin
-        rows = sparse.bsr_array(blocks, shape=(dim * (last - first), matrix.shape[1]))
-        result[dim * first:dim * last] = (rows if of is None else of(rows)) @ vector
-
-    in_parts(multiply, len(matrix.indptr) - 1, matrix.data.size)
+def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
+    """A v (n,), summed as scipy does."""
+    arrays = map(read_only, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)))
+    result = np.empty(matrix.shape[0])
+    in_parts(_multiply, len(matrix.indptr) - 1, matrix.data.size, (0.0,) * matrix.blocksize[0], *arrays, vector, result)
     return result
+
+
+@kernel
+def _multiply(first, last, zero, indptr, indices, data, v, result):
+    dim = len(zero)
+    for i in range(first, last):
+        for a in range(dim):
+            total = 0.0
+            for k in range(indptr[i], indptr[i + 1]):
+                for b in range(dim):
+                    total += data[dim * (dim * k + a) + b] * v[dim * indices[k] + b]
+            result[dim * i + a] = total
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,12 @@ from scipy import sparse
 
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import inner_kernel, kernel, read_only
-from adaptmg._threads import Strips, in_parts
+from adaptmg._threads import Strips, in_colours, in_parts, product, scattering
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level
+from adaptmg.multigrid.half_sweeps import add_prolonged, restrict
 from adaptmg.smoother.blocks import ZERO
-from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen, without_fixed
+from adaptmg.transfer.galerkin import galerkin_product, seen, without_fixed
 
 
 @dataclass(eq=False)
@@ -191,6 +192,20 @@ def _nested(above: Level, level: Level, matrix: sparse.bsr_array, nodal: sparse.
     return known[2]
 
 
+def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array,
+                tolerance: float = 1e-9) -> bool:
+    """Whether ``coarse`` is P'AP, seen on one pseudo-random vector, row by row relative to the sizes of what it sums:
+    next to a stiff body a soft one would go unseen."""
+    arrays = map(read_only, (coarse.indptr, coarse.indices, coarse.data.reshape(-1)))
+    transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data
+    probe = np.random.default_rng(0).random(coarse.shape[0]) - 0.5
+    fine, image = np.zeros(matrix.shape[0]), np.zeros(len(probe))
+    in_parts(add_prolonged, nodal.shape[0], 2 * len(fine), *transfer, probe, fine)
+    colours = scattering(nodal.indices, nodal.indptr, 2 * len(fine))
+    in_colours(colours, restrict, *transfer, product(matrix, fine), image)
+    return all(in_parts(agrees, nodal.shape[1], coarse.data.size, transfer[0], *arrays, probe, image, tolerance))
+
+
 def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.csr_array,
                coarse: DiscreteProblem) -> sparse.bsr_array:
     """The matrix, without the rows and columns of fixed dofs if free coarse dofs reach them."""
@@ -200,6 +215,23 @@ def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.cs
     if not reached:
         return matrix
     return without_fixed(matrix, fine.fixed)
+
+
+@kernel
+def agrees(first, last, zero, indptr, indices, data, v, image, tolerance):
+    """Whether rows of A v are those of ``image`` up to a share of the sum of sizes."""
+    dim = len(zero)
+    for i in range(first, last):
+        for a in range(dim):
+            total, size = 0.0, 0.0
+            for k in range(indptr[i], indptr[i + 1]):
+                for b in range(dim):
+                    term = data[dim * (dim * k + a) + b] * v[dim * indices[k] + b]
+                    total += term
+                    size += abs(term)
+            if not abs(image[dim * i + a] - total) <= tolerance * size:
+                return False
+    return True
 
 
 @kernel
