@@ -246,8 +246,10 @@ class Strips:
             bounds = _bounds(np.maximum.reduceat(place[indices], indptr[:-1])[order])
         if len(bounds) <= FEWEST:
             return cls(own, own, [[(0, n)]])
-        # in a strip in the order of the numbers: neighbours in memory
-        strips = [np.sort(order[first:last]) for first, last in pairwise(bounds)]
+        strips = [order[first:last] for first, last in pairwise(bounds)]
+        if order is not own:
+            # in a strip in the order of the numbers: neighbours in memory
+            strips = list(map(np.sort, strips))
         parts = [*strips[::2], *strips[1::2]]
         ends = np.cumsum([0, *map(len, parts)]).tolist()
         ranges, even = list(pairwise(ends)), len(strips[::2])
