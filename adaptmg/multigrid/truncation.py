@@ -180,8 +180,8 @@ class Truncation:
                  contact: TruncatedContact) -> None:
         self.contact, fine = contact, levels[-1]
         dim = fine.dim
-        at = np.concatenate(in_parts(_at_contact, fine.n_nodes, len(fine.lower), fine.strips.order, *fine.lower_arrays[:2],
-                                     contact.contact_of))
+        at = np.concatenate(in_parts(_at_contact, fine.n_nodes, len(fine.lower), fine.strips.order, fine.lower_indptr,
+                                     fine.lower_indices, contact.contact_of))
         i = fine.strips.order[np.searchsorted(fine.lower_indptr, at, side="right") - 1]
         j, below = fine.lower_indices[at], fine.lower.reshape(-1, dim, dim)[at]
         # blocks in rows and columns of contact nodes: on the diagonal, and of L for both sides
