@@ -71,15 +71,12 @@ class LinearCycle:
                 self.recorder.count(passes, self.levels[0].nonzeros)
             self.recorder.visit(0, "solve")
             return v.solution
-        level, nodal = self.levels[number], self.prolongations[number - 1]
+        level = self.levels[number]
         passes = self._before(number, v)
         self.recorder.visit(number, "smooth", self.sweeps[number])
         below = self.vectors(number - 1)
-        components = ZERO[level.n_dofs // nodal.shape[0]]
         self.restrict(number, v.kept, below.load)
-        correction = self.solve(number - 1)
-        in_parts(add_prolonged, nodal.shape[0], 2 * level.n_dofs, components, nodal.indptr, nodal.indices, nodal.data,
-                 correction, v.solution)
+        self.add_prolonged(number, self.solve(number - 1), v.solution)
         zero_at(v.solution, level.fixed)
         self.recorder.visit(number, "prolong")
         passes += self._after(number, v)
@@ -87,14 +84,24 @@ class LinearCycle:
         self.recorder.count(passes, level.nonzeros)
         return v.solution
 
+    def transfer(self, number: int) -> tuple[tuple[float, ...], np.ndarray, np.ndarray, np.ndarray]:
+        """What the kernels of transfer between a level and the next coarser one take first: the zeros of the components
+        of the prolongation, and its arrays."""
+        nodal = self.prolongations[number - 1]
+        return ZERO[self.levels[number].n_dofs // nodal.shape[0]], nodal.indptr, nodal.indices, nodal.data
+
+    def add_prolonged(self, number: int, coarse: np.ndarray, fine: np.ndarray) -> None:
+        """Add what the prolongation to a level makes of a vector on the next coarser one."""
+        transfer = self.transfer(number)
+        in_parts(add_prolonged, len(transfer[1]) - 1, 2 * len(fine), *transfer, coarse, fine)
+
     def restrict(self, number: int, residual: np.ndarray, coarse: np.ndarray) -> float:
         """Restrict the residual of a level to the next coarser one; returns its sum of squares."""
-        nodal = self.prolongations[number - 1]
+        zero, indptr, indices, weights = self.transfer(number)
         if number not in self._scattering:
-            self._scattering[number] = scattering(nodal.indices, nodal.indptr, 2 * self.levels[number].n_dofs)
+            self._scattering[number] = scattering(indices, indptr, 2 * len(residual))
         coarse[:] = 0.0
-        squares = in_colours(self._scattering[number], restrict, ZERO[len(residual) // nodal.shape[0]], nodal.indptr,
-                             nodal.indices, nodal.data, residual, coarse)
+        squares = in_colours(self._scattering[number], restrict, zero, indptr, indices, weights, residual, coarse)
         zero_at(coarse, self.levels[number - 1].fixed)
         self.recorder.visit(number, "restrict")
         return sum(squares)

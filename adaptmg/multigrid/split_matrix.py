@@ -18,11 +18,12 @@ from scipy import sparse
 
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import inner_kernel, kernel, read_only
-from adaptmg._threads import Strips, in_parts
+from adaptmg._threads import Strips, in_colours, in_parts, product, scattering
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level
-from adaptmg.smoother.blocks import ZERO
-from adaptmg.transfer.galerkin import galerkin_product, is_galerkin, seen, without_fixed
+from adaptmg.multigrid.half_sweeps import add_prolonged, restrict
+from adaptmg.smoother.blocks import ZERO, in_loop, read, write
+from adaptmg.transfer.galerkin import galerkin_product, seen, without_fixed
 
 
 @dataclass(eq=False)
@@ -135,17 +136,10 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     lower_indices, upper_indices = np.empty(below, dtype=np.uint32), np.empty(above, dtype=np.uint32)
     lower, upper = np.empty(below * dim * dim), np.empty(above * dim * dim)
     diagonal, inverse = np.empty(n * dim * dim), np.empty(n * dim * dim)
-    in_parts(distribute, n, size, strips.order, dim, indptr, indices, data, strips.rank, lower_indptr, lower_indices,
-             lower, upper_indptr, upper_indices, upper, diagonal)
-    dofs = np.flatnonzero(fixed)
-    if len(dofs):
-        free, held = ~fixed, np.zeros(n, dtype=bool)
-        held[dofs // dim] = True
-        mask(strips.order, dim, lower_indptr, lower_indices, lower, free, held)
-        if not symmetric:
-            mask(strips.order, dim, upper_indptr, upper_indices, upper, free, held)
-        decouple(dim, diagonal, dofs)
-    in_parts(invert_all, n, size, dim, diagonal, inverse)
+    dofs, held = np.flatnonzero(fixed), np.zeros(n, dtype=bool)
+    held[dofs // dim] = True
+    in_parts(distribute, n, size, strips.order, ZERO[dim], indptr, indices, data, strips.rank, ~fixed, held,
+             lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse)
     return SplitMatrix(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse,
                        dofs, nonzeros, strips)
 
@@ -191,6 +185,20 @@ def _nested(above: Level, level: Level, matrix: sparse.bsr_array, nodal: sparse.
     return known[2]
 
 
+def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array,
+                tolerance: float = 1e-9) -> bool:
+    """Whether ``coarse`` is P'AP, seen on one pseudo-random vector, row by row relative to the sizes of what it sums:
+    next to a stiff body a soft one would go unseen."""
+    arrays = map(read_only, (coarse.indptr, coarse.indices, coarse.data.reshape(-1)))
+    transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data
+    probe = np.random.default_rng(0).random(coarse.shape[0]) - 0.5
+    fine, image = np.zeros(matrix.shape[0]), np.zeros(len(probe))
+    in_parts(add_prolonged, nodal.shape[0], 2 * len(fine), *transfer, probe, fine)
+    colours = scattering(nodal.indices, nodal.indptr, 2 * len(fine))
+    in_colours(colours, restrict, *transfer, product(matrix, fine), image)
+    return all(in_parts(agrees, nodal.shape[1], coarse.data.size, transfer[0], *arrays, probe, image, tolerance))
+
+
 def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.csr_array,
                coarse: DiscreteProblem) -> sparse.bsr_array:
     """The matrix, without the rows and columns of fixed dofs if free coarse dofs reach them."""
@@ -200,6 +208,26 @@ def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.cs
     if not reached:
         return matrix
     return without_fixed(matrix, fine.fixed)
+
+
+ONE = np.uint64(1)
+
+
+@kernel
+def agrees(first, last, zero, indptr, indices, data, v, image, tolerance):
+    """Whether rows of A v are those of ``image`` up to a share of the sum of sizes."""
+    dim = len(zero)
+    for i in range(first, last):
+        for a in range(dim):
+            total, size = 0.0, 0.0
+            for k in range(indptr[i], indptr[i + 1]):
+                for b in range(dim):
+                    term = data[dim * (dim * k + a) + b] * v[dim * indices[k] + b]
+                    total += term
+                    size += abs(term)
+            if not abs(image[dim * i + a] - total) <= tolerance * size:
+                return False
+    return True
 
 
 @kernel
@@ -217,61 +245,70 @@ def count(first, last, order, indptr, indices, rank, lower_counts, upper_counts)
         upper_counts[place + 1] = above
 
 
-@inner_kernel(forceinline=True)
-def _copy(size, k, to, indices, data, own_indices, own):
+@in_loop
+def _copy(zero, k, to, indices, data, own_indices, own):
+    """Block k to place ``to`` of a half."""
+    dim = np.uint64(len(zero))
     own_indices[to] = indices[k]
-    for c in range(size):
-        own[size * to + c] = data[size * k + c]
+    for a in range(dim):
+        row = dim * np.uint64(a)
+        write(own, dim * dim * to + row, read(data, dim * dim * k + row, zero))
+
+
+@inner_kernel
+def _mask(dim, i, first, last, indices, data, free):
+    """Zero rows and columns of fixed dofs in blocks of row i."""
+    for k in range(first, last):
+        j = np.int64(indices[k])
+        for a in range(dim):
+            for b in range(dim):
+                if not (free[dim * i + a] and free[dim * j + b]):
+                    data[(k * dim + a) * dim + b] = 0.0
 
 
 @kernel
-def distribute(first, last, order, dim, indptr, indices, data, rank, lower_indptr, lower_indices, lower, upper_indptr,
-               upper_indices, upper, diagonal):
-    """Blocks into L, U (unless it is empty) and D; blocks of a duplicate or missing diagonal are summed or zero."""
-    size = dim * dim
-    both = len(upper_indptr) > 0
+def distribute(first, last, order, zero, indptr, indices, data, rank, free, held, lower_indptr, lower_indices, lower,
+               upper_indptr, upper_indices, upper, diagonal, inverse):
+    """Blocks into L, U (unless it is empty), D and its inverse (see :func:`invert_block`), without the couplings of
+    fixed dofs; blocks of a duplicate or missing diagonal are summed or zero. ``held`` tells the nodes with fixed dofs.
+    """
+    dim, own = len(zero), np.int64(len(zero)**2)
+    size, both = np.uint64(own), len(upper_indptr) > 0
+    block, scale = np.empty(own), np.empty(dim)
     for place in range(first, last):
-        i = order[place]
-        for c in range(size):
-            diagonal[size * i + c] = 0.0
-        below, above = np.int64(lower_indptr[place]), np.int64(upper_indptr[place]) if both else 0
-        for k in range(indptr[i], indptr[i + 1]):
-            there = rank[indices[k]]
-            if there < place:
-                _copy(size, k, below, indices, data, lower_indices, lower)
-                below += 1
-            elif there == place:
-                for c in range(size):
-                    diagonal[size * i + c] += data[size * k + c]
+        i = np.int64(order[place])
+        at, near = own * i, held[i]
+        for c in range(own):
+            diagonal[at + c] = 0.0
+        below, above = np.uint64(lower_indptr[place]), np.uint64(upper_indptr[place]) if both else np.uint64(0)
+        for entry in range(indptr[i], indptr[i + 1]):
+            k = np.uint64(entry)
+            j = np.uint64(indices[k])
+            near |= held[j]
+            if rank[j] < place:
+                _copy(zero, k, below, indices, data, lower_indices, lower)
+                below += ONE
+            elif rank[j] == place:
+                for c in range(own):
+                    diagonal[at + c] += data[size * k + np.uint64(c)]
             elif both:
-                _copy(size, k, above, indices, data, upper_indices, upper)
-                above += 1
-
-
-@kernel
-def mask(order, dim, indptr, indices, data, free, held):
-    """Zero rows and columns of fixed dofs in a half; ``held`` tells the nodes that have some."""
-    for place in range(len(indptr) - 1):
-        i = order[place]
-        for k in range(indptr[place], indptr[place + 1]):
-            j = np.int64(indices[k])
-            if not (held[i] or held[j]):
-                continue
+                _copy(zero, k, above, indices, data, upper_indices, upper)
+                above += ONE
+        if near:
+            _mask(dim, i, np.int64(lower_indptr[place]), np.int64(below), lower_indices, lower, free)
+            if both:
+                _mask(dim, i, np.int64(upper_indptr[place]), np.int64(above), upper_indices, upper, free)
             for a in range(dim):
                 for b in range(dim):
-                    if not (free[dim * i + a] and free[dim * j + b]):
-                        data[(k * dim + a) * dim + b] = 0.0
-
-
-@kernel
-def decouple(dim, diagonal, fixed):
-    """Zero the couplings of fixed dofs inside their diagonal blocks; the entry itself stays."""
-    for at in fixed:
-        i, a = at // dim, at % dim
-        for b in range(dim):
-            if b != a:
-                diagonal[(i * dim + a) * dim + b] = 0.0
-                diagonal[(i * dim + b) * dim + a] = 0.0
+                    if a != b and not (free[dim * i + a] and free[dim * i + b]):
+                        diagonal[at + dim * a + b] = 0.0
+        if dim == 2 and _invert_2d(diagonal, inverse, at):
+            continue
+        for c in range(own):
+            block[c] = diagonal[at + c]
+        for a in range(dim):
+            scale[a] = abs(block[a * dim + a])
+        invert_block(dim, block, scale, inverse, at)
 
 
 @inner_kernel
@@ -313,19 +350,3 @@ def _invert_2d(blocks, result, at):
     result[at + 1], result[at + 2], result[at + 3] = -(b / a) * scale, -(c / a) * scale, scale
     result[at] = 1.0 / a + (b / a) * scale * (c / a)
     return True
-
-
-@kernel
-def invert_all(first, last, dim, diagonal, inverse):
-    """Inverses of all diagonal blocks; see :func:`invert_block`."""
-    size = dim * dim
-    block = np.empty(size)
-    scale = np.empty(dim)
-    for i in range(first, last):
-        if dim == 2 and _invert_2d(diagonal, inverse, 4 * i):
-            continue
-        for c in range(size):
-            block[c] = diagonal[size * i + c]
-        for a in range(dim):
-            scale[a] = abs(block[a * dim + a])
-        invert_block(dim, block, scale, inverse, size * i)

@@ -53,9 +53,7 @@ class TruncatedStep:
         self.level, self.below = cycle.levels[number], cycle.levels[number - 1]
         self.truncation = Truncation(cycle.levels[:number + 1], cycle.prolongations[:number], contact)
         self.recombination = Recombination(self.below.dim, self.below.n_dofs, depth)
-        nodal = cycle.prolongations[number - 1]
-        # the zeros of a prolongation's components, and its arrays: what the kernels of transfer take first
-        self._transfer = ZERO[self.level.n_dofs // nodal.shape[0]], nodal.indptr, nodal.indices, nodal.data
+        self._transfer = cycle.transfer(number)
         self.motions, self._iterates = motions, Ring(len(unknowns), depth)
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
         self._frozen = False

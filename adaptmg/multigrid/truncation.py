@@ -19,6 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._threads import in_parts
 from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.smoother.system import CLOSED, HELD, TANGENTIAL
@@ -179,9 +180,10 @@ class Truncation:
                  contact: TruncatedContact) -> None:
         self.contact, fine = contact, levels[-1]
         dim = fine.dim
-        row = np.repeat(fine.strips.order, np.diff(fine.lower_indptr))
-        at = np.flatnonzero((contact.contact_of[row] >= 0) | (contact.contact_of[fine.lower_indices] >= 0))
-        i, j, below = row[at], fine.lower_indices[at], fine.lower.reshape(-1, dim, dim)[at]
+        at = np.concatenate(in_parts(_at_contact, fine.n_nodes, len(fine.lower), fine.strips.order, fine.lower_indptr,
+                                     fine.lower_indices, contact.contact_of))
+        i = fine.strips.order[np.searchsorted(fine.lower_indptr, at, side="right") - 1]
+        j, below = fine.lower_indices[at], fine.lower.reshape(-1, dim, dim)[at]
         # blocks in rows and columns of contact nodes: on the diagonal, and of L for both sides
         rows, columns = (np.concatenate([contact.nodes, np.column_stack(pair).reshape(-1)]).astype(np.int32)
                          for pair in ((i, j), (j, i)))
@@ -206,6 +208,19 @@ class Truncation:
 
     def restore(self) -> None:
         self.products.restore()
+
+
+@kernel
+def _at_contact(first, last, order, indptr, indices, contact_of):
+    """The blocks of a half in rows and columns of contact nodes."""
+    found, count = np.empty(indptr[last] - indptr[first], dtype=np.int32), 0
+    for place in range(first, last):
+        in_row = contact_of[order[place]] >= 0
+        for k in range(indptr[place], indptr[place + 1]):
+            # written without a branch, kept if it counts
+            found[count] = k
+            count += in_row or contact_of[indices[k]] >= 0
+    return found[:count].copy()
 
 
 @inner_kernel

@@ -301,8 +301,9 @@ class TruncatedRun:
                 unknowns = self._start_cycles(number, unknowns, start)
             with self.run.phase("start"):
                 coarse, fine = self.problems[number], self.problems[number + 1]
-                displacement = coarse.with_prescribed(unknowns).reshape(-1, coarse.dim)
-                unknowns = fine.from_prescribed(self.cycle.prolongations[number] @ displacement)
+                displacement = np.zeros(fine.n_dofs)
+                self.cycle.add_prolonged(number + 1, coarse.with_prescribed(unknowns), displacement)
+                unknowns = fine.from_prescribed(displacement)
             self.run.visit(number + 1, "start")
         self.run.start_work_units = self.run.work_units
         return unknowns

@@ -13,13 +13,13 @@ from adaptmg.transfer.constraints import (
     supports,
 )
 from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
-from adaptmg.transfer.galerkin import aggregated_prolongations, galerkin_product, is_galerkin, without_fixed
+from adaptmg.transfer.galerkin import aggregated_prolongations, galerkin_product, without_fixed
 from adaptmg.transfer.interpolation import CLIP, Interpolation, PointLocator, Transfer, mesh_ratio, size_ratio
 from adaptmg.transfer.projections import L2, LumpedL2, PseudoL2, QuasiInterpolation
 
 __all__ = ["CLIP", "L2", "Interpolation", "Location", "LumpedL2", "PointLocator", "PseudoL2", "QuasiInterpolation",
            "Supports", "Transfer", "aggregated_prolongations", "galerkin_product", "injected_gap", "injected_limit",
-           "injected_slip", "is_galerkin", "largest_gap", "mesh_ratio", "minmod_slip", "size_ratio", "smallest_gap",
+           "injected_slip", "largest_gap", "mesh_ratio", "minmod_slip", "size_ratio", "smallest_gap",
            "summed_limit", "supports", "surface_interpolation", "with_contact_rows", "without_fixed"]
 
 

@@ -1,8 +1,7 @@
 r"""Galerkin coarse matrices :math:`P^T A P` of a block matrix and a nodal prolongation, row by row (Gustavson).
 
-Blocks are never expanded: a weight multiplies a block as a whole. On nested meshes the discretised coarse matrix is the
-same, and :func:`is_galerkin` finds that out with one product. Coarse spaces of a bare matrix come from pyamg's smoothed
-aggregation.
+Blocks are never expanded: a weight multiplies a block as a whole. Coarse spaces of a bare matrix come from pyamg's
+smoothed aggregation.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from scipy import sparse
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._runtime import kernel, one_blas_thread, read_only, seeded
-from adaptmg._threads import in_parts, product
+from adaptmg._threads import in_parts
 
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
 
@@ -157,19 +156,6 @@ def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weigh
     in_parts(_multiply, rows, len(blocks[2]), zero, left, *factors[0], *factors[1], weights.data, blocks[2], columns,
              indptr, indices, data)
     return indptr.astype(np.int32), indices, data
-
-
-def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array,
-                tolerance: float = 1e-9) -> bool:
-    """Whether ``coarse`` is P'AP, seen on one pseudo-random vector, row by row relative to the sizes of what it sums.
-
-    Row by row: next to a stiff body a soft one would go unseen.
-    """
-    dim = matrix.blocksize[0]
-    probe = np.random.default_rng(0).standard_normal((nodal.shape[1], dim))
-    difference = (nodal.T @ product(matrix, (nodal @ probe).reshape(-1)).reshape(-1, dim)).reshape(-1)
-    difference -= product(coarse, probe.reshape(-1))
-    return bool((np.abs(difference) <= tolerance * product(coarse, np.abs(probe).reshape(-1), abs)).all())
 
 
 def _prolongation(name: str, value: object) -> sparse.csr_array:
