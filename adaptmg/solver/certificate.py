@@ -24,7 +24,7 @@ from adaptmg._text import shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.solver.aggregates import Aggregates, aggregates_of
-from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, residual_energy
+from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, diagonal_blocks, residual_energy
 
 
 @dataclass(frozen=True, repr=False)
@@ -181,8 +181,8 @@ class Evidence:
             known = problem.load - images, float(np.sqrt(max(_sum(self.unknowns, images), 0.0)))
         residual, self.energy = known
         self.fixed = problem.fixed.reshape(shape)
-        diagonal = problem.matrix.diagonal().reshape(shape)
-        self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
+        self.diagonal = diagonal_blocks(problem.matrix)
+        self.stiffness = np.diagonal(self.diagonal[problem.contact.nodes], axis1=1, axis2=2).max(axis=1)
         self.normals = self.posed.normals
         self.claimed = from_frames(contact.frames, np.column_stack([-contact.force_n, contact.force_t]))
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
@@ -196,7 +196,7 @@ class Evidence:
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
         self.at_contact = self.unexplained[self.nodes]
         self.tally = Tally(self.unexplained, self.fixed, self.u, self.unknowns,
-                           problem.fixed_values.reshape(shape), diagonal)
+                           problem.fixed_values.reshape(shape), self.diagonal)
         self.force = max(_norm(problem.physical_forces(problem.load)), self.tally.supports, _norm(self.claimed))
         self.length = self.tally.displacement
         # a row sums terms of the size of its diagonal times its displacement
@@ -285,7 +285,7 @@ class Evidence:
 
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
         """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
-        Overwrites what is unexplained."""
+        Overwrites what is unexplained, and the diagonal blocks."""
         problem = self.problem
         status, change, unlawful = self._frozen()
         forces = problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
@@ -293,7 +293,8 @@ class Evidence:
         matrix = problem.matrix
         moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
         del change
-        rest = residual_energy(matrix, status, forces, aggregates, (_NEGLIGIBLE * rtol * self.energy) ** 2)
+        rest = residual_energy(matrix, self.diagonal, status, forces, aggregates,
+                               (_NEGLIGIBLE * rtol * self.energy) ** 2)
         rounding = 32 * _EPSILON * self.tally.stiff_energy
         return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
 
