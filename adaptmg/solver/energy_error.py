@@ -73,22 +73,27 @@ def add_forces(indptr, indices, data, nodes, change, forces):
 
 
 @kernel
-def _blocks_on_diagonal(first, last, indptr, indices, data, diagonal):
-    for i in range(first, last):
-        for p in range(indptr[i], indptr[i + 1]):
-            if indices[p] == i:
-                for k in range(data.shape[1]):
-                    for m in range(data.shape[1]):
-                        diagonal[i, k, m] = data[p, k, m]
+def _multiply(first, last, zero, indptr, indices, data, vector, image, diagonal):
+    dim = np.uint64(len(zero))
+    size = dim * dim
+    for node in range(first, last):
+        i, total = np.uint64(node), zero
+        for p in range(indptr[node], indptr[node + 1]):
+            at, j = size * np.uint64(p), np.uint64(indices[p])
+            total = add(total, times(data, at, read(vector, dim * j, zero)))
+            if i == j:
+                for k in range(size):
+                    diagonal[size * i + k] = data[at + k]
+        write(image, dim * i, total)
 
 
-def diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
-    """The diagonal blocks (n_nodes, dim, dim) of a matrix."""
+def product_and_diagonal(matrix: sparse.bsr_array, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A v (n_dofs,) and the diagonal blocks (n_nodes, dim, dim) of A, in one pass."""
     n, dim = len(matrix.indptr) - 1, matrix.blocksize[0]
-    # a row without one has none
-    result = np.zeros((n, dim, dim))
-    in_parts(_blocks_on_diagonal, n, matrix.data.size, matrix.indptr, matrix.indices, matrix.data, result)
-    return result
+    image, diagonal = np.empty(n * dim), np.empty(n * dim * dim)
+    in_parts(_multiply, n, matrix.data.size, ZERO[dim], matrix.indptr, matrix.indices, matrix.data.reshape(-1), vector,
+             image, diagonal)
+    return image, diagonal.reshape(n, dim, dim)
 
 
 @kernel
