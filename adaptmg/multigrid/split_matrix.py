@@ -18,7 +18,7 @@ from scipy import sparse
 
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._runtime import inner_kernel, kernel, read_only
-from adaptmg._threads import Strips, in_colours, in_parts, product, scattering
+from adaptmg._threads import LARGE, Strips, in_colours, in_parts, product, scattering
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level
 from adaptmg.multigrid.half_sweeps import add_prolonged, restrict
@@ -42,6 +42,7 @@ class SplitMatrix:
     fixed: np.ndarray  # (n_fixed,) int64: fixed dofs
     nonzeros: int  # stored entries of the whole matrix, the unit of work on this level
     strips: Strips  # the order of the sweeps
+    aside: tuple[sparse.bsr_array, np.ndarray] | None = None  # what :meth:`complete` makes L from
 
     @property
     def n_nodes(self) -> int:
@@ -58,6 +59,7 @@ class SplitMatrix:
 
     @property
     def lower_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self.complete()
         return self.lower_indptr, self.lower_indices, self.lower
 
     @property
@@ -71,6 +73,20 @@ class SplitMatrix:
     def drop_diagonal(self) -> None:
         """Free the diagonal blocks: :meth:`at_slots` and :meth:`matrix` are then out of reach."""
         self.diagonal = np.empty(0)
+
+    def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> bool:
+        """Free L and the inverse blocks of a large symmetric matrix, until they are made again; whether it is large."""
+        if not self.symmetric or len(self.lower) < LARGE:
+            return False
+        self.lower_indices, self.lower, self.inverse = np.empty(0, dtype=np.uint32), np.empty(0), np.empty(0)
+        self.aside = matrix, fixed
+        return True
+
+    def complete(self) -> None:
+        """Make again what was set aside."""
+        if self.aside is not None:
+            again, self.aside = split(*self.aside, symmetric=True), None
+            self.lower_indices, self.lower, self.inverse = again.lower_indices, again.lower, again.inverse
 
     def at_slots(self, slots: np.ndarray) -> np.ndarray:
         """The blocks at slots (L first, then the diagonal, then U), flat."""

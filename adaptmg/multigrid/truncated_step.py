@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from adaptmg._runtime import kernel
 from adaptmg._threads import in_parts, sum_of_parts
@@ -94,6 +95,7 @@ class TruncatedStep:
     def correct(self) -> float:
         """Correct, project and search; returns the energy of the coarse correction, N m. It estimates the energy of the
         error that the correction removes."""
+        self._iterates.complete()
         proposed, energy = self._coarse_correction()
         before = self.contact.values.copy()
         self.contact.project(proposed)
@@ -103,6 +105,13 @@ class TruncatedStep:
         self.recombination.advance()
         self.cycle.recorder.visit(self.number, "prolong")
         return energy
+
+    def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> None:
+        """Free what only further steps read, if it is much: half of the matrix, which is made again from the whole one,
+        and past iterates, without which they begin anew to recombine."""
+        if self.level.set_aside(matrix, fixed):
+            self._iterates.forget()
+            self.recombination.restart()
 
     @property
     def unknowns(self) -> np.ndarray:
@@ -188,14 +197,15 @@ class TruncatedStep:
 
     def _energy_product(self, other: np.ndarray) -> float:
         """Square of the A-norm of the difference to other unknowns; half a pass."""
-        level = self.level
+        level, arrays = self.level, self.level.lower_arrays
         self.cycle.recorder.count(0.5, level.nonzeros)
-        return sum_of_parts(projected_sweeps.energy_product, level.n_nodes, len(level.lower), level.strips.order,
-                            ZERO[level.dim], *level.lower_arrays, level.inverse, self.unknowns, other)
+        return sum_of_parts(projected_sweeps.energy_product, level.n_nodes, len(arrays[-1]), level.strips.order,
+                            ZERO[level.dim], *arrays, level.inverse, self.unknowns, other)
 
     def rounding(self) -> float:
         """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that arithmetic reaches."""
         level = self.level
+        level.complete()
         return float(np.sqrt(sum_of_parts(stiff_squares, level.n_nodes, len(level.inverse), level.dim, level.inverse,
                                           self.unknowns)))
 
@@ -216,8 +226,21 @@ class Ring:
     MOST = 4
 
     def __init__(self, n: int, depth: int) -> None:
-        self.vectors = np.zeros((max(depth, 1) + 1, n))
-        self.flat, self._head = self.vectors.reshape(-1), 0
+        self._rows = max(depth, 1) + 1
+        self._take(np.zeros((self._rows, n)))
+
+    def _take(self, vectors: np.ndarray) -> None:
+        self.vectors, self.flat, self._head = vectors, vectors.reshape(-1), 0
+
+    def forget(self) -> None:
+        """Free all vectors but the present one, until :meth:`complete`."""
+        self._take(self.now[None].copy())
+
+    def complete(self) -> None:
+        if len(self.vectors) < self._rows:
+            now = self.now
+            self._take(np.zeros((self._rows, len(now))))
+            self.now[:] = now
 
     @property
     def now(self) -> np.ndarray:

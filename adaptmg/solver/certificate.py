@@ -24,7 +24,7 @@ from adaptmg._text import shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.solver.aggregates import Aggregates, aggregates_of
-from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, residual_energy
+from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, product_and_diagonal, residual_energy
 
 
 @dataclass(frozen=True, repr=False)
@@ -111,11 +111,9 @@ class Certificate:
 
 @one_blas_thread()
 def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
-            known: tuple[np.ndarray, float] | None = None, aggregates: Aggregates | None = None, rtol: float = 0.0
-            ) -> Certificate:
-    """Check a displacement and the contact forces and states that go with it. ``known``: the residual b - A w
-    (n_dofs,) of its unknowns w, and their norm sqrt(w'Aw). An energy error below a tenth of ``rtol`` is estimated by
-    one step."""
+            known: Known | None = None, aggregates: Aggregates | None = None, rtol: float = 0.0) -> Certificate:
+    """Check a displacement and the contact forces and states that go with it. An energy error below a tenth of ``rtol``
+    is estimated by one step."""
     if aggregates is None and not bound:
         aggregates = aggregates_of(problem)
     # what has run away overflows: its lines read inf or nan, and contradict
@@ -133,6 +131,9 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
     return Certificate(lines, energy, energy_rounding, bound, found.force, found.length, found.energy)
 
 
+#: of unknowns w: the residual b - A w (n_dofs,), their norm sqrt(w'Aw), and the diagonal blocks of A, which are
+#: overwritten
+Known = tuple[np.ndarray, float, np.ndarray]
 _OPEN, _SLIP, _STICK = 0, 1, 2
 #: share of rtol up to which one step estimates the energy error: further steps would make it a few times larger at most
 _NEGLIGIBLE = 0.1
@@ -167,7 +168,7 @@ class Evidence:
     """What the lines are made from. Forces of coupled bodies are those of the bodies, not of relative coordinates."""
 
     def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims,
-                 known: tuple[np.ndarray, float] | None = None) -> None:
+                 known: Known | None = None) -> None:
         self.problem, self.contact = problem, contact
         # contact as it was posed: between held bodies the problem may have nodes of the master in its place
         self.posed = problem.contact if problem.exchange is None else problem.exchange.contact
@@ -177,12 +178,11 @@ class Evidence:
         self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
         if known is None:
-            images = problem.matrix @ self.unknowns.reshape(-1)
-            known = problem.load - images, float(np.sqrt(max(_sum(self.unknowns, images), 0.0)))
-        residual, self.energy = known
+            images, diagonal = product_and_diagonal(problem.matrix, self.unknowns.reshape(-1))
+            known = problem.load - images, float(np.sqrt(max(_sum(self.unknowns, images), 0.0))), diagonal
+        residual, self.energy, self.diagonal = known
         self.fixed = problem.fixed.reshape(shape)
-        diagonal = problem.matrix.diagonal().reshape(shape)
-        self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
+        self.stiffness = np.diagonal(self.diagonal[problem.contact.nodes], axis1=1, axis2=2).max(axis=1)
         self.normals = self.posed.normals
         self.claimed = from_frames(contact.frames, np.column_stack([-contact.force_n, contact.force_t]))
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
@@ -196,7 +196,7 @@ class Evidence:
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
         self.at_contact = self.unexplained[self.nodes]
         self.tally = Tally(self.unexplained, self.fixed, self.u, self.unknowns,
-                           problem.fixed_values.reshape(shape), diagonal)
+                           problem.fixed_values.reshape(shape), self.diagonal)
         self.force = max(_norm(problem.physical_forces(problem.load)), self.tally.supports, _norm(self.claimed))
         self.length = self.tally.displacement
         # a row sums terms of the size of its diagonal times its displacement
@@ -285,7 +285,7 @@ class Evidence:
 
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
         """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
-        Overwrites what is unexplained."""
+        Overwrites what is unexplained, and the diagonal blocks."""
         problem = self.problem
         status, change, unlawful = self._frozen()
         forces = problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
@@ -293,7 +293,8 @@ class Evidence:
         matrix = problem.matrix
         moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
         del change
-        rest = residual_energy(matrix, status, forces, aggregates, (_NEGLIGIBLE * rtol * self.energy) ** 2)
+        rest = residual_energy(matrix, self.diagonal, status, forces, aggregates,
+                               (_NEGLIGIBLE * rtol * self.energy) ** 2)
         rounding = 32 * _EPSILON * self.tally.stiff_energy
         return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
 
@@ -338,9 +339,8 @@ class Evidence:
     def _held(self, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nodes in supports or contact, and the projections there, from those (n_contact, dim, dim) of contact."""
         nodes = self.problem.contact.nodes
-        supported = self.fixed.any(axis=1)
-        supported[nodes] = False
-        held = np.append(nodes, np.flatnonzero(supported))
+        supported = np.flatnonzero(self.fixed) // self.problem.dim
+        held = np.append(nodes, np.setdiff1d(supported, nodes))
         every = np.concatenate([kept, np.tile(np.eye(self.problem.dim), (len(held) - len(nodes), 1, 1))])
         free = ~self.fixed[held]
         return held, every * free[:, :, None] * free[:, None, :]

@@ -73,16 +73,36 @@ def add_forces(indptr, indices, data, nodes, change, forces):
 
 
 @kernel
-def _inverses(first, last, zero, indptr, indices, data, diagonal, inverse):
-    """Diagonal blocks of a matrix and their inverses, by cofactors."""
+def _multiply(first, last, zero, indptr, indices, data, vector, image, diagonal):
+    dim = np.uint64(len(zero))
+    size = dim * dim
+    for node in range(first, last):
+        i, total = np.uint64(node), zero
+        for p in range(indptr[node], indptr[node + 1]):
+            at, j = size * np.uint64(p), np.uint64(indices[p])
+            total = add(total, times(data, at, read(vector, dim * j, zero)))
+            if i == j:
+                for k in range(size):
+                    diagonal[size * i + k] = data[at + k]
+        write(image, dim * i, total)
+
+
+def product_and_diagonal(matrix: sparse.bsr_array, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A v (n_dofs,) and the diagonal blocks (n_nodes, dim, dim) of A, in one pass."""
+    n, dim = len(matrix.indptr) - 1, matrix.blocksize[0]
+    image, diagonal = np.empty(n * dim), np.empty(n * dim * dim)
+    in_parts(_multiply, n, matrix.data.size, ZERO[dim], matrix.indptr, matrix.indices, matrix.data.reshape(-1), vector,
+             image, diagonal)
+    return image, diagonal.reshape(n, dim, dim)
+
+
+@kernel
+def _invert(first, last, zero, blocks):
+    """Blocks of size dim become their inverses, by cofactors."""
     dim = len(zero)
+    v = np.empty((dim, dim))
     for i in range(first, last):
-        for p in range(indptr[i], indptr[i + 1]):
-            if indices[p] == i:
-                for k in range(dim):
-                    for m in range(dim):
-                        diagonal[i, k, m] = data[p, k, m]
-        d, v = diagonal[i], inverse[i]
+        d = blocks[i]
         if dim == 2:
             v[0, 0], v[0, 1], v[1, 0], v[1, 1] = d[1, 1], -d[0, 1], -d[1, 0], d[0, 0]
         else:
@@ -96,7 +116,7 @@ def _inverses(first, last, zero, indptr, indices, data, diagonal, inverse):
             determinant += d[0, k] * v[k, 0]
         for k in range(dim):
             for m in range(dim):
-                v[k, m] /= determinant
+                d[k, m] = v[k, m] / determinant
 
 
 @in_loop
@@ -151,44 +171,44 @@ def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, lo
 
 
 class _Preconditioner:
-    """Forward Gauss-Seidel, coarse correction, backward Gauss-Seidel on the matrix of a status."""
+    """Forward Gauss-Seidel, coarse correction, backward Gauss-Seidel on the matrix of a status. ``diagonal``, the
+    diagonal blocks of the matrix, is overwritten."""
 
-    def __init__(self, matrix: sparse.bsr_array, status: FrozenStatus, aggregates: Aggregates) -> None:
-        dim = status.kept.shape[1]
-        n = matrix.shape[0] // dim
+    def __init__(self, matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenStatus,
+                 aggregates: Aggregates) -> None:
+        n, dim, _ = diagonal.shape
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
-        diagonal, inverse = np.zeros((n, dim, dim)), np.empty((n, dim, dim))
-        in_parts(_inverses, n, matrix.data.size, self._zero, matrix.indptr, matrix.indices, matrix.data, diagonal,
-                 inverse)
         diagonal[status.nodes] += status.stiffening
+        number = np.full(n, -1, dtype=np.int32)
+        number[status.held] = np.arange(len(status.held))
+        self._coarse = CoarseMatrix(aggregates, matrix, diagonal, number, status.kept)
         # what is projected away has no stiffness
         stiffness, axes = np.linalg.eigh(status.kept @ diagonal[status.held] @ status.kept)
         size = np.abs(stiffness)
         stiffness[size <= 1e-12 * size.max(axis=1, initial=0.0, keepdims=True)] = np.inf
-        inverse[status.held] = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
-        number = np.full(n, -1, dtype=np.int32)
-        number[status.held] = np.arange(len(status.held))
-        self._inverse = inverse.reshape(-1)
-        self._coarse = CoarseMatrix(aggregates, matrix, diagonal, number, status.kept)
-        self._rest = np.empty(n * dim)
+        in_parts(_invert, n, 20 * n, self._zero, diagonal)
+        diagonal[status.held] = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
+        self._inverse = diagonal.reshape(-1)
 
     def __call__(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The preconditioned residual (n_nodes, dim), and the stored matrix times it."""
-        result, image, load = np.empty_like(residual), np.zeros_like(residual), residual.reshape(-1)
-        given = self._zero, *self._matrix, self._inverse, load, result.reshape(-1)
-        self._rest[:] = 0.0
-        self._strips.sweep(_forward, *given, self._rest)
-        self._coarse.correct(self._rest, result.reshape(-1))
-        self._strips.sweep(_backward, *given, image.reshape(-1), backward=True)
+        # what the forward sweep leaves of the residual, then the product
+        result, image = np.empty_like(residual), np.zeros_like(residual)
+        flat = image.reshape(-1)
+        given = self._zero, *self._matrix, self._inverse, residual.reshape(-1), result.reshape(-1), flat
+        self._strips.sweep(_forward, *given)
+        self._coarse.correct(flat, result.reshape(-1))
+        image[:] = 0.0
+        self._strips.sweep(_backward, *given, backward=True)
         return result, image
 
 
-def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray,
+def residual_energy(matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenStatus, residual: np.ndarray,
                     aggregates: Aggregates | None, negligible: float = 0.0) -> float:
-    """Energy of the displacement that a residual, which is overwritten, brings about in the space of a status, N m. If
-    it is at most ``negligible`` after the first step, that is the answer."""
+    """Energy of the displacement that a residual brings about in the space of a status, N m. If it is at most
+    ``negligible`` after the first step, that is the answer. The diagonal blocks and the residual are overwritten."""
     status.project(residual)
     size = _dot(residual, residual)
     if not np.isfinite(size):
@@ -198,7 +218,7 @@ def residual_energy(matrix: sparse.bsr_array, status: FrozenStatus, residual: np
     if aggregates is None:
         return _factorised(matrix, status, residual)
     given = residual.copy() if matrix.shape[0] <= _FACTORISED[residual.shape[1]] else None
-    precondition = _Preconditioner(matrix, status, aggregates)
+    precondition = _Preconditioner(matrix, diagonal, status, aggregates)
     energy, settled = _estimated(matrix, status, residual, precondition, negligible)
     if not settled and given is not None:
         try:
@@ -213,27 +233,25 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
     """A Galerkin solution's energy, and whether further steps would change it little; overwrites the residual."""
     least, missing = _FEW if len(residual) <= _SMALL else _MANY
     symmetric, energy, largest = status.symmetric, 0.0, 0.0
-    start = None if symmetric else residual.copy()
     kept: list[tuple[np.ndarray, np.ndarray]] = []  # orthonormal directions, and what the equations make of them
-    equations, load = np.empty((0, 0)), []
+    equations, shares = np.empty((0, 0)), np.empty(0)
+    load: list[float] = []
     for step in range(1, (_MOST if symmetric else _MOST_COULOMB) + 1):
-        direction, image = precondition(residual)
+        direction, forces = precondition(residual)
         product, before = _dot(residual, direction), energy
         if not product > 0.0:
             return energy, True
         at = status.nodes
-        dragged = np.einsum("nij,nj->ni", status.dragged, image[at])
-        image[at] += np.einsum("nij,nj->ni", status.stiffening, direction[at])
-        square, forces = _dot(direction, image), image
-        if not symmetric:
-            forces = image.copy()
-            forces[at] += dragged
+        dragged = np.einsum("nij,nj->ni", status.dragged, forces[at])
+        forces[at] += np.einsum("nij,nj->ni", status.stiffening, direction[at])
+        square = _dot(direction, forces)
+        overlaps = [_dot(other, forces) for other, _ in kept]
+        forces[at] += dragged
         status.project(forces)
-        for other, of_other in kept:
-            share = _dot(other, image)
-            _add(-share, other, direction)
-            _add(-share, of_other, forces)
-            square -= share * share
+        for overlap, (other, of_other) in zip(overlaps, kept, strict=True):
+            _add(-overlap, other, direction)
+            _add(-overlap, of_other, forces)
+            square -= overlap * overlap
         if not square > 0.0:
             return energy, False  # a motion that nothing holds
         direction /= np.sqrt(square)
@@ -246,14 +264,16 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
         else:
             column = [_dot(v, forces) for v, _ in kept]
             kept.append((direction, forces))
-            equations = np.vstack([np.column_stack([equations, column]), [_dot(direction, f) for _, f in kept]])
-            load.append(_dot(direction, start))
+            row = [_dot(direction, f) for _, f in kept]
+            equations = np.vstack([np.column_stack([equations, column]), row])
+            # what is left of the load and what the earlier directions take of it
+            shares = np.append(shares, 0.0)
+            load.append(_dot(direction, residual) + float(shares @ row))
             try:
-                shares = np.linalg.solve(equations, load)
+                taken, shares = shares, np.linalg.solve(equations, load)
             except np.linalg.LinAlgError:
                 return energy, False
-            residual[:] = start
-            for share, (_, f) in zip(shares, kept, strict=True):
+            for share, (_, f) in zip(shares - taken, kept, strict=True):
                 _add(-share, f, residual)
             energy = float(shares @ shares)
         largest = max(largest, abs(energy - before) / product)
@@ -300,7 +320,7 @@ def _tally(unexplained, fixed, physical, unknowns, values, diagonal, squares, la
     """Squares and largest entries of: free forces, forces in supports, prescribed values missed; displacements."""
     for i in range(len(unexplained)):
         for k in range(unexplained.shape[1]):
-            force, u, stiffness = abs(unexplained[i, k]), abs(physical[i, k]), abs(diagonal[i, k])
+            force, u, stiffness = abs(unexplained[i, k]), abs(physical[i, k]), abs(diagonal[i, k, k])
             if fixed[i, k]:
                 missed = abs(unknowns[i, k] - values[i, k])
                 squares[1] += force * force

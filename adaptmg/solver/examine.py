@@ -19,13 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg._threads import product
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.residuals import natural_at_nodes, states
 from adaptmg.smoother.system import ContactState, NodalContact, contact_blocks, held_tangents, local_contact
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.energy_error import product_and_diagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ class Examiner:
         if self._last is not None and np.array_equal(self._last[0], solved):
             return self._last[1]
         discrete = self.discrete
-        residual = product(discrete.matrix, solved)
+        residual, diagonal = product_and_diagonal(discrete.matrix, solved)
         energy = energy_norm(solved, residual)
         np.subtract(discrete.load, residual, out=residual)
         nodal = solved.reshape(discrete.n_nodes, discrete.dim)
@@ -103,7 +103,7 @@ class Examiner:
         contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
                                  -self._at_contact(residual))
         natural = self._residual(solved, residual)
-        checked = certify(discrete, displacement, contact, known=(residual, energy), rtol=rtol)
+        checked = certify(discrete, displacement, contact, known=(residual, energy, diagonal), rtol=rtol)
         # in place: long vectors are what limits the size of a problem
         reaction = discrete.physical_forces(np.negative(residual, out=residual)).reshape(nodal.shape)
         found = Examined(displacement, reaction, contact, natural, checked)

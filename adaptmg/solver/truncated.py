@@ -151,8 +151,11 @@ class TruncatedIteration(StopTest):
         """See :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate can be better."""
         if self.run is None:
             return None
-        displacement = self.problem.with_prescribed(self.multigrid.unknowns)
-        return 0.0 if self.rests() else self.run.shortfall(displacement, self.rtol)
+        if self.rests():
+            return 0.0
+        # mostly this iterate is the last
+        self.multigrid.set_aside(self.problem.matrix, self.problem.fixed)
+        return self.run.shortfall(self.problem.with_prescribed(self.multigrid.unknowns), self.rtol)
 
     def _estimate(self) -> float:
         rate = self.safe_rate
@@ -287,8 +290,8 @@ class TruncatedRun:
         """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero. ``first_rate``: the start is
         nearly solved; see :class:`~adaptmg.solver.truncated.TruncatedIteration`."""
         problem = self.problems[-1]
-        unknowns = np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start)
-        return self.finish(unknowns, cold=first_rate is None, first_rate=first_rate)
+        return self.finish(np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start),
+                           cold=first_rate is None, first_rate=first_rate)
 
     def from_nested(self, start: NestedStart) -> Outcome:
         return self.finish(self.nested_start(start), cold=False)
@@ -312,6 +315,7 @@ class TruncatedRun:
         o, problem = self.options, self.problems[-1]
         nested = unknowns.copy() if o.rtol == "discretisation" else None
         step = self._step(len(self.hierarchy) - 1, unknowns)
+        del unknowns  # long vectors limit the size of a problem
         with self.run.phase("cycles"):
             cycles = TruncatedIteration(step, problem, o.rtol, o.max_cycles, run=self.run, cold=cold, nested=nested,
                                         first_rate=first_rate,
@@ -333,11 +337,13 @@ class TruncatedRun:
             interface = None
             if problem.coupling is not None and parts.interface_sweeps:
                 interface = Interface(levels[number], problem.coupling)
+            if number == len(levels) - 1:
+                levels[number].drop_diagonal()
             step = TruncatedStep(self.cycle, number, contact, load, unknowns, parts.recombine,
                                  RigidMotions.of(problem, contact, load), interface, parts.interface_sweeps)
             if number == len(levels) - 1 and self.cycle.coarse_smoother is None:
                 # the last use of the diagonal blocks but on the coarsest level
-                for level in levels[1:]:
+                for level in levels[1:-1]:
                     level.drop_diagonal()
             return step
 
