@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from scipy import sparse
 
 VAST, TINIEST = 1e40, 1e-40
 """Physical quantities are smaller than ``VAST``, moduli and lengths larger than ``TINIEST``: energies, products of some
@@ -139,7 +138,8 @@ def _names(types: Types[_T]) -> str:
 def listed(name: str, value: Iterable[_T], words: str) -> tuple[_T, ...]:
     """Return a sequence (not text, a mapping or a matrix) as a tuple; ``words`` describe its items."""
     try:
-        if not isinstance(value, (str, bytes, Mapping, type)) and not sparse.issparse(value):
+        # a sparse matrix, of scipy, which Netgen's process does without
+        if not isinstance(value, (str, bytes, Mapping, type)) and not hasattr(value, "tocsr"):
             return tuple(value)
     except TypeError:
         pass

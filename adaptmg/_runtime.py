@@ -32,10 +32,13 @@ from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
-from numba.core.caching import FunctionCache, NullCache
+from llvmlite import binding as llvm
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Flags
 from numba.core.dispatcher import _FunctionCompiler
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys
 
 from adaptmg import _ahead
 
@@ -126,13 +129,43 @@ class _Inner(CPUDispatcher):
                         ".py_func")
 
 
+_EMPTY = llvm.parse_assembly("").as_bitcode()
+
+
+class _Loaded(JITCodeLibrary):
+    """A kernel from the cache. What other kernels link, a second form of its code, is read when one is compiled that
+    calls it."""
+
+    def _get_module_for_linking(self) -> Any:
+        if self._linked:
+            self._shared_module, self._linked = llvm.parse_bitcode(self._linked), b""
+            self._codegen._engine._load_defined_symbols(self._shared_module)
+        return super()._get_module_for_linking()
+
+
+class _Form(CompileResultCacheImpl):
+    """The form in which a kernel is stored, which is numba's."""
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        (name, kind, (machine_code, linked)), function, *rest = payload
+        if (entry := function.llvm_cpython_wrapper_name).encode() in machine_code:  # the way in from Python
+            target_context.codegen()._engine._defined_symbols.add(entry)
+        made = super().rebuild(target_context, ((name, kind, (machine_code, _EMPTY)), function, *rest))
+        made.library.__class__, made.library._linked = _Loaded, linked
+        return made
+
+
 class _Cache(FunctionCache):
     """numba's cache of a kernel, whose failures are logged and cost a compilation."""
+
+    _impl_class = _Form
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found = None
         try:
-            found = super().load_overload(sig, target_context)
+            # numba also lists all that it can compile, which takes longer than a small solve
+            rtsys.initialize(target_context)
+            found = self._load_overload(sig, target_context)
         except Exception as error:
             self._warn("read", error)
             with suppress(OSError):  # a new index takes what is compiled now

@@ -91,3 +91,24 @@ def test_a_cache_that_cannot_be_written_is_left_out(package):
     said = run(full)
     assert "No space left on device" in said and "cannot be written" in said
     assert run() == ""
+
+
+def test_a_kernel_from_the_cache_is_called_without_a_compiler_and_linked_by_kernels_compiled_later(tmp_path):
+    (tmp_path / "pair.py").write_text(
+        "from adaptmg._runtime import kernel\n\n"
+        "@kernel\ndef root(x):\n    return 1.0 if x <= 0.0 else x * root(x - 1.0)\n\n"
+        "@kernel\ndef twice(x):\n    return 2.0 * root(x)\n")
+
+    def run(*lines: str) -> None:
+        done = subprocess.run([sys.executable, "-B", "-c", "\n".join(("import sys, pair", *lines))], cwd=tmp_path,
+                              env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_NUM_THREADS": "1",
+                                                "PYTHONPATH": os.pathsep.join((str(ROOT.parent), str(tmp_path)))},
+                              capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+
+    run("assert pair.root(3.0) == 6.0")
+    listed = "'numba.cpython.cmathimpl' in sys.modules"  # what numba can compile
+    run("assert pair.root(4.0) == 24.0", f"assert not {listed}", "assert pair.root.stats.cache_hits",
+        "assert pair.twice(4.0) == 48.0", f"assert {listed} and pair.twice.stats.cache_misses")
+    run("assert pair.twice(3.0) == 12.0", "assert pair.twice.stats.cache_hits and not pair.root.stats.cache_misses",
+        f"assert not {listed}")
