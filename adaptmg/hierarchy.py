@@ -282,7 +282,8 @@ class Hierarchy:
             key = None
         elif key is not None:
             key = *key, problem.contact_boundaries, problem.masters
-            if (known := recent.find(key)) is not None:
+            known, numbers = recent.find(key) or (None, ())
+            if known is not None and known._numbers() == numbers:  # else the earlier run changed them in place
                 return known.with_problem(problem)._kept(key)
         meshes = mesh()
         for message in _overlaps(problem, meshes[-1]):
@@ -300,8 +301,13 @@ class Hierarchy:
 
     def _kept(self, key: tuple | None) -> Self:
         if key is not None:
-            recent.keep(key, sum(level.n_nodes for level in self.levels), self)
+            recent.keep(key, sum(level.n_nodes for level in self.levels), (self, self._numbers()))
         return self
+
+    def _numbers(self) -> list[float]:
+        """Sums over the arrays that can be written to."""
+        matrices = [level.discrete.matrix for level in self.levels] + [level.prolongation for level in self.levels[1:]]
+        return [float(one.data.sum()) for one in matrices]
 
     def __len__(self) -> int:
         return len(self.levels)

@@ -6,9 +6,9 @@ with the same node numbers as its ``source``, which is built when it is first re
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
+from adaptmg._lazy import lazily
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.size_near import SizeNear
 from adaptmg.mesh.soundness import MeshQuality, check_mesh, quality, with_source
@@ -24,26 +24,12 @@ if TYPE_CHECKING:
     from adaptmg.mesh.read import as_mesh, from_gmsh, from_ngsolve
     from adaptmg.mesh.step import from_step, step_names
 
-# these modules import ngsolve or numba: they are loaded at the first use of a name (PEP 562)
-_LAZY = {"as_mesh": "read", "bisect": "bisection", "coarsen": "bisection.coarsen", "from_gmsh": "read",
-         "from_ngsolve": "read", "from_step": "step", "graded": "grading",
-         "onto_domain": "bisection.onto_domain", "refine_near": "bisection", "sized": "grading",
-         "solid_mesh": "netgen_solid",
-         "step_names": "step",
-         "to_ngsolve": "ngsolve_bridge"}
-
 __all__ = ["MeshArrays", "MeshQuality", "SizeNear", "as_mesh", "bisect", "check_mesh", "coarsen", "from_gmsh",
            "from_ngsolve", "from_step", "graded", "merged", "onto_domain", "quality", "refine_near", "sized",
            "solid_mesh", "step_names", "structured", "to_ngsolve", "with_source"]
 
-
-def __getattr__(name: str) -> object:
-    if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return __all__
+if not TYPE_CHECKING:  # these modules import ngsolve or numba
+    __getattr__, __dir__ = lazily(__name__, {
+        "bisection": "bisect refine_near", "bisection.coarsen": "coarsen", "bisection.onto_domain": "onto_domain",
+        "grading": "graded sized", "netgen_solid": "solid_mesh", "ngsolve_bridge": "to_ngsolve",
+        "read": "as_mesh from_gmsh from_ngsolve", "step": "from_step step_names"})

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from adaptmg._lazy import lazily
+
 if TYPE_CHECKING:
     from adaptmg.plot.contact_surfaces import contact
     from adaptmg.plot.convergence import history, path
@@ -17,20 +19,9 @@ if TYPE_CHECKING:
     from adaptmg.plot.meshes import adaptation, grids, mesh
     from adaptmg.plot.posed_problem import problem
 
-_WHERE = {"adaptation": "meshes", "contact": "contact_surfaces", "deformation": "deformed", "grids": "meshes",
-          "history": "convergence", "load_history": "load_histories", "mesh": "meshes", "path": "convergence",
-          "problem": "posed_problem"}
-
 __all__ = ["adaptation", "contact", "deformation", "grids", "history", "load_history", "mesh", "path", "problem"]
 
-
-def __getattr__(name: str) -> object:
-    if name in _WHERE:
-        import importlib
-
-        return getattr(importlib.import_module(f"adaptmg.plot.{_WHERE[name]}"), name)
-    raise AttributeError(f"module 'adaptmg.plot' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = lazily(__name__, {
+        "contact_surfaces": "contact", "convergence": "history path", "deformed": "deformation",
+        "load_histories": "load_history", "meshes": "adaptation grids mesh", "posed_problem": "problem"})

@@ -25,7 +25,7 @@ from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon,
 Triple = tuple[float, float, float]
 Profile = Polygon | Outline | Rectangle
 _ON_AXIS = 1e-12  # relative to the profile: vertices nearer to the axis of revolution lie on it
-_PROFILE = "a Polygon, an Outline or a Rectangle"
+_PROFILE = "a Polygon, an Outline, a Rectangle, a Circle, or a combination of these"
 _SOLID = "a Box or another solid (Cylinder, Ball, Revolution, Cut, ...)"
 _PLANE = (Rectangle, Polygon, Outline, Circle)
 
@@ -40,14 +40,19 @@ def _direction(name: str, value: object) -> Triple:
     return tuple(map(float, check_arrays.direction(name, value, 3)))
 
 
-def _check_profile(profile: object) -> None:
-    checks.instance("polygon", profile, (Polygon, Outline, Rectangle), _PROFILE)
+def _profile(name: str, value: object) -> Profile:
+    if isinstance(value, Circle | Combination) and value.dim == 2:
+        value = value.outline
+    profile = checks.instance(name, value, (Polygon, Outline, Rectangle), _PROFILE)
     if isinstance(profile, Outline) and profile.holes:
         raise ValueError("polygon has holes: make the solid of its outer edge, and Cut those of its holes from it")
+    return profile
 
 
-def outline_of(profile: Profile) -> Polygon | Outline:
-    """The profile with its own vertices: arcs stay arcs."""
+def outline_of(profile: Domain) -> Polygon | Outline:
+    """A plane profile with its own vertices: arcs stay arcs."""
+    if isinstance(profile, Circle | Combination):
+        return profile.outline
     return profile if isinstance(profile, Outline) else profile.polygon
 
 
@@ -125,7 +130,7 @@ class Revolution(SolidDomain):
 
     Parameters
     ----------
-    polygon : Polygon, Outline or Rectangle
+    polygon : Polygon, Outline, Rectangle, Circle, or a combination of these
         Profile in the half plane (r, z), r >= 0. It may touch the axis along edges, not at a single vertex.
     angle : float
         Degrees, 0 < angle <= 360.
@@ -142,7 +147,7 @@ class Revolution(SolidDomain):
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        _check_profile(self.polygon)
+        checks.convert(self, _profile, "polygon")
         checks.convert(self, checks.positive, "angle")
         if not self.angle <= 360:
             raise ValueError(f"angle must be at most 360 degrees, got {self.angle!r}")
@@ -180,7 +185,7 @@ class Extrusion(SolidDomain):
 
     Parameters
     ----------
-    polygon : Polygon or Outline
+    polygon : Polygon, Outline, Circle, or a combination of these
         Profile. (The edges of a rectangle are called bottom and top: use a Box.)
     height : float
         m, > 0.
@@ -201,7 +206,7 @@ class Extrusion(SolidDomain):
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        _check_profile(self.polygon)
+        checks.convert(self, _profile, "polygon")
         checks.convert(self, checks.quantity, "height", positive=True)
         checks.convert(self, checks.quantity, "base")
         if {"bottom", "top"} & set(self.polygon.boundaries):
@@ -315,7 +320,7 @@ class Combination(SolidDomain):
             raise ValueError(f"outline: only plane domains have one, a and b of this {type(self).__name__} are solids")
         parts = []
         for part, domain in (("a", self.a), ("b", self.b)):
-            own = domain.outline if isinstance(domain, Circle | Combination) else outline_of(domain)
+            own = outline_of(domain)
             own = own if isinstance(own, Outline) else Outline(vertices=own.vertices, boundaries=own.boundaries)
             parts.append(replace(own, boundaries=tuple(self.renamed(part, name) for name in own.boundaries)))
         return combined(type(self).__name__, *parts)

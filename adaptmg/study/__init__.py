@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from adaptmg._lazy import lazily
 
 if TYPE_CHECKING:
     from adaptmg.study.cluster import local_cluster
@@ -11,22 +13,10 @@ if TYPE_CHECKING:
     from adaptmg.study.study import Study
     from adaptmg.study.tables import as_text
 
-_WHERE = {"Study": "adaptmg.study.study", "StudyStatus": "adaptmg.study.record",
-          "as_text": "adaptmg.study.tables", "local_cluster": "adaptmg.study.cluster"}
-_WHERE |= dict.fromkeys(("Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Zip"),
-                        "adaptmg.study.designs")
-
 __all__ = ["Grid", "LatinHypercube", "Points", "Random", "Repeated", "Sobol", "Study", "StudyStatus", "Zip",
            "as_text", "local_cluster"]
 
-
-def __getattr__(name: str) -> Any:
-    if name in _WHERE:
-        import importlib
-
-        return getattr(importlib.import_module(_WHERE[name]), name)
-    raise AttributeError(f"module 'adaptmg.study' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return __all__
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = lazily(__name__, {
+        "cluster": "local_cluster", "designs": "Grid LatinHypercube Points Random Repeated Sobol Zip",
+        "record": "StudyStatus", "study": "Study", "tables": "as_text"})

@@ -45,6 +45,9 @@ def test_known_areas_and_names():
     lens = am.Common(am.Circle((0, 0), 1.0), am.Circle((1, 0), 1.0, "right"))
     assert lens.outline.area == pytest.approx(2 * math.pi / 3 - math.sqrt(3) / 2, rel=1e-14)
     assert set(lens.boundaries) == {"circle", "right"}
+    assert am.Extrusion(lens, 1.0).boundaries == (*lens.boundaries, "bottom", "top")
+    torus = graded(am.Revolution(am.Circle((2.0, 0.0), 1.0)), 0.5)
+    assert 0.95 < torus.volumes.sum() / (4 * math.pi**2) < 1.0
     # edges that coincide, and tangents that go on
     half = am.Fuse(am.Rectangle(width=3, height=2), am.Circle((0, 1), 1.0, "l"))
     stadium = am.Fuse(half, am.Circle((3, 1), 1.0, "r"))
@@ -63,7 +66,7 @@ test_refused = refused(
     (lambda: am.Cut(BLOCK, am.Circle((1.0, 0.25), 0.25)), "touch each other at the point"),
     (lambda: am.Cut(BLOCK, am.Ball((0, 0, 0), 1.0)), "a is 2D, b 3D"),
     (lambda: am.Moved(PLATE), "got a plane Cut"),
-    (lambda: am.Extrusion(PLATE.outline, 1.0), "polygon has holes"),
+    (lambda: am.Extrusion(PLATE, 1.0), "polygon has holes"),
     (lambda: am.Cut(BLOCK, am.Circle((2, 1), 0.5), rename={"hole": "x"}), "hole"),
     (lambda: am.Outline(vertices=((0, 0), (1, 0), (1, 1), (0.2, 0.2), (0.4, 0.2), (0.3, 0.4)), holes=(3,),
                         boundaries=("a",) * 6), "clockwise"))

@@ -44,6 +44,20 @@ def test_runs_that_share_meshes_have_the_bits_of_runs_alone():
     assert not recent.kept
 
 
+def test_a_run_that_changes_its_matrices_changes_no_later_run():
+    def stiffer(friction, which):
+        grids = grids_of(BAR(law=am.Coulomb(friction)))
+        if which == "matrix":
+            grids.finest.discrete.matrix.data *= 2.0
+        else:
+            grids.finest.prolongation.data[::2] *= 0.5
+        return {"tip": float(am.solve(grids, am.Multigrid(), throw=False).displacement.max())}
+
+    for which in ("matrix", "prolongation"):
+        table = Study(stiffer, {"friction": [0.2, 0.4, 0.3]}, fixed={"which": which}).run(progress=False)
+        assert table["tip"].tolist() == [stiffer(friction, which)["tip"] for friction in (0.2, 0.4, 0.3)]
+
+
 def solved(push):
     return {"tip": float(am.solve(am.Hierarchy.uniform(push, (2, 4))).displacement.max())}
 
