@@ -35,32 +35,32 @@ from adaptmg.mesh.surfaces import unless_flat
 from adaptmg.problem.plane_domains import Domain, Outline
 
 # elements and facets that are too large for the field, over it; by how much more most are before all are cut
-_LARGE, _LONG, _FAR = {2: 1.25, 3: 2**0.5}, 1.4, 1.3
+_LARGE, _LONG, _FAR = 2**0.5, 1.4, 1.3
 # share of the elements (of the facets) that may stay too large, though by less than this
 _LEFT, _NEVER = 0.01, 2**0.5
 # share of too large elements above which a pass is followed by improvement; rounds of it in the end
-_MANY, _ROUNDS = {2: 0.3, 3: 0.02}, 3
-# area or volume of the equilateral element of size 1
-_EQUILATERAL = {2: 3**0.5 / 4, 3: 2**0.5 / 12}
+_MANY, _ROUNDS = 0.02, 3
+# volume of the equilateral element of size 1
+_EQUILATERAL = 2**0.5 / 12
 
 
 def drafted(domain: Domain, draft: MeshArrays, field: Callable[[MeshArrays], np.ndarray],
             onto: Callable[[MeshArrays, int], MeshArrays] | None = None) -> MeshArrays:
     """Refine a sound draft to the sizes at the nodes of a mesh. ``onto`` puts nodes from a number on onto the boundary;
     this is called by the names that it has in the draft."""
-    mesh, dim = draft, draft.dim
-    for _ in range(dim * MAX_BISECTIONS):
+    mesh = draft
+    for _ in range(3 * MAX_BISECTIONS):
         at, n_old = field(mesh), mesh.n_nodes
         elements = equilateral_sizes(mesh.points, mesh.elements) / at[mesh.elements].mean(axis=1)
         facets = equilateral_sizes(mesh.points, mesh.facets) / at[mesh.facets].mean(axis=1)
-        large, long = elements > _LARGE[dim], facets > _LONG
+        large, long = elements > _LARGE, facets > _LONG
         if max(large.mean(), long.mean()) <= _LEFT:
             large, long = elements > _NEVER, facets > _NEVER
             if not (large.any() or long.any()):
                 break
-        refuse_too_many(NODES_PER_CELL[dim] * _EQUILATERAL[dim] * float((elements**dim).sum()), domain)
-        many = large.mean() > _MANY[dim]
-        if (elements > _FAR * _LARGE[dim]).mean() > 0.5:
+        refuse_too_many(NODES_PER_CELL[3] * _EQUILATERAL * float((elements**3).sum()), domain)
+        many = large.mean() > _MANY
+        if (elements > _FAR * _LARGE).mean() > 0.5:
             mesh = halved(mesh)
         else:
             large[facet_elements(mesh, mesh.facets[long])] = True
