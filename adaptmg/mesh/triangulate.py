@@ -322,13 +322,11 @@ def _next_place(points, elements, e, sizes, place):
 
 
 @inner_kernel
-def _is_free(points, elements, across, t, place, apart):
-    """Whether a place in triangle t is so far from its corners, and not next to an edge of the boundary."""
-    x, y = place[0], place[1]
+def _is_free(points, elements, t, place, apart):
+    """Whether a place in triangle t is so far from its corners."""
     for k in range(3):
-        a, b = elements[t, k], elements[t, (k + 1) % 3]
-        u, v, s, r = points[a, 0] - x, points[a, 1] - y, points[b, 0] - x, points[b, 1] - y
-        if u * u + v * v < apart * apart or (across[t, (k + 2) % 3] < 0 and u * s + v * r < 0.0):
+        a = elements[t, k]
+        if (points[a, 0] - place[0])**2 + (points[a, 1] - place[1])**2 < apart * apart:
             return False
     return True
 
@@ -384,7 +382,7 @@ def _fill(points, sizes, elements, across, n, count, n_read, settled, dips):
                     dips[e] = np.inf
                 else:
                     t = _walk(points, elements, across, e, place[0], place[1])
-                if t >= 0 and _is_free(points, elements, across, t, place, _APART * h):
+                if t >= 0 and _is_free(points, elements, t, place, _APART * h):
                     points[n, 0], points[n, 1] = place[0], place[1]
                     sizes[n] = h if dip else _interpolated(points, elements, t, place, sizes)
                     more = _insert(points, elements, across, count, t, n, stack, settled)

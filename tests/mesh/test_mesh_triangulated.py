@@ -78,6 +78,11 @@ def test_dips_and_jumps_of_a_size_function_are_met():
     mesh = sized(SQUARE, dips, 0.2)
     for place in places:
         assert np.sort(np.linalg.norm(mesh.points - place, axis=1))[1] < 0.004
+    # holes in the field, far narrower than the elements around them: seen at nodes and centroids, half of them are met
+    discs = np.random.default_rng(0).uniform(0.1, 0.9, (12, 2))
+    met = [sized(SQUARE, lambda x, p=p: np.where(np.linalg.norm(x - p, axis=1) < 0.06, 0.01, 0.2), 0.2).n_nodes > 200
+           for p in discs]
+    assert sum(met) >= 8
     jump = sized(SQUARE, lambda x: np.where(x[:, 0] < 0.5, 0.01, 0.2), 0.2, grading=0.2)
     # beyond the jump sizes grow by a fifth of the distance, until the next side
     x, sizes = jump.points[jump.elements].mean(axis=1)[:, 0], equilateral_sizes(jump.points, jump.elements)
