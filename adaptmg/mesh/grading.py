@@ -48,7 +48,7 @@ from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
 from adaptmg.mesh.step import step_contents, step_mesh, step_shapes
 from adaptmg.mesh.structured import boundaries_of, merged, per_body
 from adaptmg.mesh.triangulate import Untriangulated, triangulated
-from adaptmg.problem.plane_domains import Domain, Outline
+from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
 _LOG = logging.getLogger(__name__)
@@ -244,9 +244,9 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     max_size : float; of an assembly also a mapping of str to float
         Largest edge length, m.
     rounds : int
-        How often Netgen, if it does, meshes again with the sizes at the centroids of the mesh before, >= 1; two bring it near
-        the field within sixteenths of ``max_size``, each further one eight times as deep, and one or two more draw
-        it close. Where it is still too coarse, elements are bisected.
+        How often Netgen, where it is used, meshes again with the sizes at the centroids of the mesh before, >= 1; two
+        bring it near the field within sixteenths of ``max_size``, each further one eight times as deep, and one or two
+        more draw it close. Where it is still too coarse, elements are bisected.
 
     Returns
     -------

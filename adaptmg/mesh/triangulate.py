@@ -129,7 +129,10 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
         sizes = np.concatenate([sizes[:n_read], field(points[n_read:n]), np.empty(room)])
         dips = np.empty(0)
         if growth is not None:
-            dips = field(points[elements[:n_elements]].mean(axis=1))
+            # every triangle that is new holds a node that is new
+            new = (elements[:n_elements] >= n_read).any(axis=1)
+            dips = np.full(n_elements, np.inf)
+            dips[new] = field(points[elements[:n_elements][new]].mean(axis=1))
             _limit(points, elements[:n_elements], sizes, growth)
         points = np.concatenate([points[:n], np.empty((room, 2))])
         spare = np.empty((2 * room, 3), dtype=np.int32)
