@@ -22,7 +22,9 @@ from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.improve import improved_triangles, replace_neighbour, swap_edge
 from adaptmg.mesh.netgen_plane import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
-from adaptmg.problem.plane_domains import Arc, Domain, Outline
+from adaptmg.problem.plane_domains import Arc, Domain, Outline, Polygon, Rectangle
+
+Plane = Rectangle | Polygon | Outline
 
 # intervals of an edge at first; how often edges that are missing are cut
 _INTERVALS, _CUTS = 8, 20
@@ -44,7 +46,7 @@ class Untriangulated(ValueError):
     """A domain whose boundary the triangulation does not hold."""
 
 
-def triangulated(domain: Domain, field: Callable[[np.ndarray], np.ndarray], growth: float | None = None) -> MeshArrays:
+def triangulated(domain: Plane, field: Callable[[np.ndarray], np.ndarray], growth: float | None = None) -> MeshArrays:
     """A sound mesh of a plane domain whose edges are about as long as the field (n, 2) -> (n,) says. With ``growth``
     sizes grow by at most so much per distance, and dips between nodes are looked for. The boundaries of an outline are
     called by the numbers of its edges. ValueError for too many nodes."""
@@ -146,7 +148,7 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
             return points[:n], elements[:n_elements]
 
 
-def _mesh(domain: Domain, points: np.ndarray, elements: np.ndarray, following: np.ndarray, edge: np.ndarray
+def _mesh(domain: Plane, points: np.ndarray, elements: np.ndarray, following: np.ndarray, edge: np.ndarray
           ) -> MeshArrays:
     """The mesh, its boundary from each node to the following one."""
     names = tuple(str(i) for i in range(len(domain.boundaries)))
