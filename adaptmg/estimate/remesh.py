@@ -34,8 +34,8 @@ from adaptmg.level import meshed_domain
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
 
-#: growth of sizes per distance; at most what Netgen copes with by dimension, in refined meshes 2^k times less
-_GRADATION, _MAX_GRADING = 0.3, {2: 1.0, 3: 0.6}
+#: growth of sizes per distance; in space at most what Netgen copes with, in refined meshes 2^k times less
+_GRADATION, _MAX_GRADING = 0.3, 0.6
 #: share of the nodes by which a mesh may miss the expected number without being made again
 _MISSED = 0.15
 #: the part of ``max_nodes`` that is aimed at; how many meshes before it grow alike, by which part of a step more
@@ -64,9 +64,8 @@ class Remesh:
         4 and more from mesh to mesh; the loop then puts a level between. Measured true errors at equal nodes, .1 over
         .25: .90 to .97 (upset block, flat punch), else equal.
     refinements : int
-        Netgen makes a mesh of :math:`2^{-dk}` of the nodes, which is refined k times uniformly. One refinement takes a
-        third of the time for up to 11 % more error on coarse meshes (flat punch, 1 000 nodes; none at 26 000, 0 to 6 %
-        on dovetail and junction); take 0 for goals. With more, sizes grow more slowly.
+        In space Netgen makes a mesh of :math:`2^{-3k}` of the nodes, which is refined k times uniformly. With more than
+        one refinement sizes grow more slowly. Plane meshes are made without Netgen and as they are wanted.
 
     Examples
     --------
@@ -122,7 +121,7 @@ class Remesh:
         return _resolving(mesh, sizes, problem.pair_boundaries, self._growth(mesh.dim))
 
     def _growth(self, dim: int) -> float:
-        return min(_GRADATION, _MAX_GRADING[dim] / 2**self.refinements)
+        return _GRADATION if dim == 2 else min(_GRADATION, _MAX_GRADING / 2**self.refinements)
 
     def intermediate(self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays) -> MeshArrays:
         """A mesh between two neighbouring levels whose sizes differ too much: by the geometric mean of both sizes.
@@ -134,13 +133,17 @@ class Remesh:
 
     def mesh(self, problem: ContactProblem, field: SizeField) -> MeshArrays:
         """A mesh of the problem's domain by a size field."""
+        from adaptmg.mesh import sized
         from adaptmg.mesh.resized import PointSizes, resized
 
-        # a plane mesh that Netgen makes whole is finer than the places of the old nodes
-        samples = field.samples(dense=field.mesh.dim == 2 and self.refinements == 0)
-        sizes = {body: PointSizes(*sample) for body, sample in samples.items()}
-        return resized(meshed_domain(problem), sizes if len(sizes) > 1 else sizes.popitem()[1],
-                       refinements=self.refinements, grading=self._growth(field.mesh.dim) * 2**self.refinements)
+        domain, growth = meshed_domain(problem), self._growth(field.mesh.dim)
+        if field.mesh.dim == 2:
+            functions = {body: field.function(body) for body in field.mesh.bodies}
+            return sized(domain, functions if len(functions) > 1 else functions.popitem()[1],
+                         float(field.sizes.max()), grading=growth)
+        sizes = {body: PointSizes(*sample) for body, sample in field.samples().items()}
+        return resized(domain, sizes if len(sizes) > 1 else sizes.popitem()[1], refinements=self.refinements,
+                       grading=growth * 2**self.refinements)
 
 
 def need_domain(problem: ContactProblem) -> None:
@@ -305,25 +308,26 @@ class SizeField:
     mesh: MeshArrays
     sizes: np.ndarray  # (n_nodes,): edge lengths at its nodes, m, > 0
 
-    def at(self, points: np.ndarray, body: str) -> np.ndarray:
+    def function(self, body: str) -> Callable[[np.ndarray], np.ndarray]:
         """Sizes (n,), m, at points (n, dim) of a body."""
         mesh = self.mesh
         own = np.flatnonzero(mesh.element_body == mesh.bodies.index(body))
-        place = SimplexLocator(mesh.points, mesh.elements, own).locate(points)
-        return np.einsum("ij,ij->i", place.weights, self.sizes[mesh.elements[place.element]])
+        locator = SimplexLocator(mesh.points, mesh.elements, own)
 
-    def samples(self, dense: bool = False) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """The arguments of a mesher: by body, points (n, dim), m, and the sizes (n,) there, m."""
-        mesh, k = self.mesh, self.mesh.elements.shape[1]
-        centre = np.full((1, k), 1 / k)
-        weights = np.concatenate([centre, 0.5 * (centre + np.eye(k))]) if dense else centre
-        result = {}
+        def at(points: np.ndarray) -> np.ndarray:
+            place = locator.locate(points)
+            return np.einsum("ij,ij->i", place.weights, self.sizes[mesh.elements[place.element]])
+
+        return at
+
+    def samples(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """The sizes at nodes and centroids: by body, points (n, dim), m, and the sizes (n,) there, m."""
+        mesh, result = self.mesh, {}
         for index, body in enumerate(mesh.bodies):
             elements = mesh.elements[mesh.element_body == index]
             nodes = np.unique(elements)
-            inner = (weights @ mesh.points[elements]).reshape(-1, mesh.dim)
-            result[body] = (np.concatenate([mesh.points[nodes], inner]),
-                            np.concatenate([self.sizes[nodes], (self.sizes[elements] @ weights.T).ravel()]))
+            result[body] = (np.concatenate([mesh.points[nodes], mesh.points[elements].mean(axis=1)]),
+                            np.concatenate([self.sizes[nodes], self.sizes[elements].mean(axis=1)]))
         return result
 
 
@@ -333,5 +337,5 @@ def mean_sizes(coarse: MeshArrays, fine: MeshArrays, growth: float) -> SizeField
     sizes = nodal_sizes(fine, simplex_sizes(fine))
     for index, body in enumerate(fine.bodies):
         nodes = np.unique(fine.elements[fine.element_body == index])
-        sizes[nodes] = np.sqrt(sizes[nodes] * of_coarse.at(fine.points[nodes], body))
+        sizes[nodes] = np.sqrt(sizes[nodes] * of_coarse.function(body)(fine.points[nodes]))
     return SizeField(fine, graded_sizes(fine, sizes, growth))

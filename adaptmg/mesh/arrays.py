@@ -239,7 +239,8 @@ def swept(mesh: MeshArrays) -> MeshArrays:
     elements = number[mesh.elements]
     rows = np.argsort(np.min(list(elements.T), axis=0), kind="stable")
     return sound_by_construction(replace(mesh, points=mesh.points[order], elements=elements[rows],
-                                         facets=number[mesh.facets], element_body=mesh.element_body[rows]))
+                                         facets=number[mesh.facets], element_body=mesh.element_body[rows],
+                                         source=None))
 
 
 def sound_by_construction(mesh: MeshArrays, lattices: Iterable[Lattice] = ()) -> MeshArrays:

@@ -1,13 +1,12 @@
-r"""drafted: meshes by a size field, made of a coarse draft of Netgen that is refined and improved in arrays.
+r"""drafted: tetrahedra by a size field, made of a coarse draft of Netgen that is refined and improved in arrays.
 
-Netgen's draft has edges of k (near 2, 4 or 8) times the field f, which may then grow k times as fast; it is the only
-part that is not nested in other meshes, and takes :math:`k^{-d}` of the time that Netgen would take for the whole.
-With the size e of an element (the edge of the equilateral one of the same measure) and the mean w of f at its corners,
-it is refined until almost no element has :math:`e > 1.25 w` (tetrahedra :math:`\sqrt 2 w`), no boundary facet is longer
-than 1.4 f (also where no element is too large: one facet of twice the length next to a re-entrant corner doubles the
-rate of multigrid), and no element at all is larger than :math:`\sqrt 2 w`. All elements are cut where half of them are
-far too large, else those that are too large are bisected once. In the end, and after passes that change much, swaps and
-moves make better shapes. New nodes on arcs and round faces are put onto them after each pass.
+Netgen's draft has edges of k (near 2 or 4) times the field f, which may then grow k times as fast; it is the only
+part that is not nested in other meshes, and takes :math:`k^{-3}` of the time that Netgen would take for the whole.
+With the size e of an element (the edge of the equilateral one of the same volume) and the mean w of f at its corners,
+it is refined until no element has :math:`e > \sqrt 2 w` and almost no boundary facet is longer than 1.4 f (also where
+no element is too large: one facet of twice the length next to a re-entrant corner doubles the rate of multigrid). All
+elements are cut where half of them are far too large, else those that are too large are bisected once. In the end, and
+after passes that change much, moves make better shapes. New nodes on round faces are put onto them after each pass.
 
 None of these steps can make a hole or a fold out of a sound mesh as long as all measures stay positive: the draft alone
 is checked.
@@ -27,40 +26,38 @@ from adaptmg.mesh.netgen_plane import (
     NODES_PER_CELL,
     equilateral_sizes,
     facet_elements,
-    onto_outline,
     refuse_too_many,
     unreachable,
 )
-from adaptmg.mesh.surfaces import unless_flat
-from adaptmg.problem.plane_domains import Domain, Outline
+from adaptmg.problem.plane_domains import Domain
 
 # elements and facets that are too large for the field, over it; by how much more most are before all are cut
-_LARGE, _LONG, _FAR = {2: 1.25, 3: 2**0.5}, 1.4, 1.3
+_LARGE, _LONG, _FAR = 2**0.5, 1.4, 1.3
 # share of the elements (of the facets) that may stay too large, though by less than this
 _LEFT, _NEVER = 0.01, 2**0.5
 # share of too large elements above which a pass is followed by improvement; rounds of it in the end
-_MANY, _ROUNDS = {2: 0.3, 3: 0.02}, 3
-# area or volume of the equilateral element of size 1
-_EQUILATERAL = {2: 3**0.5 / 4, 3: 2**0.5 / 12}
+_MANY, _ROUNDS = 0.02, 3
+# volume of the equilateral element of size 1
+_EQUILATERAL = 2**0.5 / 12
 
 
 def drafted(domain: Domain, draft: MeshArrays, field: Callable[[MeshArrays], np.ndarray],
             onto: Callable[[MeshArrays, int], MeshArrays] | None = None) -> MeshArrays:
     """Refine a sound draft to the sizes at the nodes of a mesh. ``onto`` puts nodes from a number on onto the boundary;
     this is called by the names that it has in the draft."""
-    mesh, dim = draft, draft.dim
-    for _ in range(dim * MAX_BISECTIONS):
+    mesh = draft
+    for _ in range(3 * MAX_BISECTIONS):
         at, n_old = field(mesh), mesh.n_nodes
         elements = equilateral_sizes(mesh.points, mesh.elements) / at[mesh.elements].mean(axis=1)
         facets = equilateral_sizes(mesh.points, mesh.facets) / at[mesh.facets].mean(axis=1)
-        large, long = elements > _LARGE[dim], facets > _LONG
+        large, long = elements > _LARGE, facets > _LONG
         if max(large.mean(), long.mean()) <= _LEFT:
             large, long = elements > _NEVER, facets > _NEVER
             if not (large.any() or long.any()):
                 break
-        refuse_too_many(NODES_PER_CELL[dim] * _EQUILATERAL[dim] * float((elements**dim).sum()), domain)
-        many = large.mean() > _MANY[dim]
-        if (elements > _FAR * _LARGE[dim]).mean() > 0.5:
+        refuse_too_many(NODES_PER_CELL[3] * _EQUILATERAL * float((elements**3).sum()), domain)
+        many = large.mean() > _MANY
+        if (elements > _FAR * _LARGE).mean() > 0.5:
             mesh = halved(mesh)
         else:
             large[facet_elements(mesh, mesh.facets[long])] = True
@@ -72,8 +69,3 @@ def drafted(domain: Domain, draft: MeshArrays, field: Callable[[MeshArrays], np.
     else:
         raise unreachable(domain, large)
     return improved(mesh, _ROUNDS)
-
-
-def onto_arcs(domain: Outline, mesh: MeshArrays) -> MeshArrays:
-    """A refined mesh with its boundary nodes on the outline; sound if none of its elements became flat."""
-    return unless_flat(mesh, onto_outline(domain, mesh).points)

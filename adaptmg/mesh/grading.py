@@ -4,16 +4,19 @@ The size field of :func:`graded`, for a bulk size H, a contact ratio q and a gra
 
 .. math:: h(x) = \min\bigl(H,\; H/q + g \,\mathrm{dist}(x, \text{contact boundaries})\bigr).
 
-Netgen fails, or takes minutes, where sizes differ by more than about 16 in a coarse mesh: sizes up to that ratio are
-asked from Netgen, and the rest is bisected, until no element and no boundary facet is larger than sqrt(2) times the
-field, by the edge of the equilateral one of the same volume. Bisection makes sizes jump by halves; :func:`sized` with
-more than two rounds lets Netgen go on by itself, eight times the ratio a round, which follows the field more closely
-and takes longer. Nodes that bisection puts on the chord of an arc are moved onto the arc. Meshes of different sizes are
-not nested. The bodies of an :class:`~adaptmg.problem.Assembly` are meshed apart.
+Plane domains are triangulated here (:mod:`adaptmg.mesh.triangulate`). Netgen meshes the others, and a plane domain if
+it is asked to or triangulation fails. It fails itself, or takes minutes, where sizes differ by more than about 16 in a
+coarse mesh: sizes up to that ratio are asked from Netgen, and the rest is bisected, until no element and no boundary
+facet is larger than sqrt(2) times the field, by the edge of the equilateral one of the same volume. Bisection makes
+sizes jump by halves; :func:`sized` with more than two rounds lets Netgen go on by itself, eight times the ratio a
+round, which follows the field more closely and takes longer. Nodes that bisection puts on the chord of an arc are moved
+onto the arc. Meshes of different sizes are not nested. The bodies of an :class:`~adaptmg.problem.Assembly` are meshed
+apart.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
 
@@ -25,7 +28,7 @@ from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.bisection.tables import as_initial
 from adaptmg.mesh.domains import check_domain, distance_to_boundaries, in_edges, plane_measures
-from adaptmg.mesh.drafted import drafted, onto_arcs
+from adaptmg.mesh.drafted import drafted
 from adaptmg.mesh.netgen_guard import NetgenUnfinished, netgen
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,
@@ -44,25 +47,27 @@ from adaptmg.mesh.netgen_plane import (
 from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
 from adaptmg.mesh.step import step_contents, step_mesh, step_shapes
 from adaptmg.mesh.structured import boundaries_of, merged, per_body
-from adaptmg.problem.plane_domains import Domain, Outline
+from adaptmg.mesh.triangulate import Untriangulated, triangulated
+from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
+_LOG = logging.getLogger(__name__)
 SizeFunction = float | Callable[[np.ndarray], np.ndarray]
 
 _NETGEN_RATIO = 16.0
 # by which sizes may fall further in each round after the second, and the factor to the field for Netgen then: its
 # triangles have about 1.2 times the edges they are asked for
 _FURTHER, _FACTOR = 8.0, 0.85
-#: how many times larger than wanted the elements of a draft may be by dimension, nodes that it has at least, and
-#: the least mean shape of its elements (long ones across thin parts keep theirs when they are refined);
-#: near powers of two, whose children fit best, but not these: levels with halved sizes would come from one draft
-_FACTORS, _LEAST, _SHAPES = {2: (8.2, 3.9, 2.05, 1), 3: (4, 1.8, 1)}, {2: 100, 3: 30}, {2: 0.75, 3: 0.55}
+#: how many times larger than wanted the elements of a draft of a box may be, nodes that it has at least, and the least
+#: mean shape of its elements (long ones across thin parts keep theirs when they are refined); near powers of two, whose
+#: children fit best, but not these: levels with halved sizes would come from one draft
+_FACTORS, _LEAST, _SHAPE = (4, 1.8, 1), 30, 0.55
 #: elements across a body by default, coarse to fine, and along a plane contact boundary of the finest mesh
 _ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, 64
 # by how much coarser still the mesh is at whose nodes and centroids Netgen is given the sizes of a draft
 _FIRST = 2
 # growth of sizes in a draft at most: tetrahedra get flat where they grow faster
-_GROWTH = {2: 1.0, 3: 0.6}
+_GROWTH = 0.6
 MESHERS = ("bisection", "netgen")
 
 
@@ -87,9 +92,9 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     rounds : int
         How often Netgen meshes again by the size field (for ratios above 1; not of solids).
     mesher : {"bisection", "netgen"}
-        What makes small elements: bisection of a coarse mesh by Netgen and improvement of shapes, which take a
-        tenth of the time, or Netgen alone. Solids with faces other than planes, cylinders, cones, spheres and tori are
-        left to Netgen.
+        What makes small elements: in space bisection of a coarse mesh by Netgen and improvement of shapes, which take a
+        tenth of the time, in the plane a triangulation without Netgen, which takes a fiftieth; or Netgen alone. Solids
+        with faces other than planes, cylinders, cones, spheres and tori are left to Netgen.
 
     Returns
     -------
@@ -173,8 +178,11 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
         return (np.full(len(x), size) if ratio == 1 else
                 np.minimum(size, contact_size + growth * distance_to_boundaries(domain, names, x)))
 
+    if domain.dim == 2 and mesher == "bisection" and (mesh := _plane(domain, field)) is not None:
+        return mesh
+
     def draft(factor: float) -> MeshArrays:
-        growth = min(1.0, max(grading, min(_GROWTH[domain.dim], factor * grading)))
+        growth = min(1.0, max(grading, min(_GROWTH, factor * grading)))
         sides = dict.fromkeys(names, factor * start) if ratio > 1 else {}
 
         def scaled(x: np.ndarray) -> np.ndarray:
@@ -188,18 +196,26 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
     return _made(domain, nodes, draft, field, mesher)
 
 
+def _plane(domain: Domain, field: SizeField, growth: float | None = None) -> MeshArrays | None:
+    """The mesh of a plane domain, None if triangulation fails."""
+    try:
+        return finished(domain, triangulated(domain, field, growth))
+    except Untriangulated as error:
+        _LOG.info("Netgen meshes the domain: %s", error)
+        return None
+
+
 def _made(domain: Domain, nodes: float, draft: Callable[[float], MeshArrays], field: SizeField, mesher: str
           ) -> MeshArrays:
     """A mesh of about ``nodes`` nodes of the coarsest draft that has enough elements and good shapes."""
-    if mesher == "netgen":
+    if mesher == "netgen" or domain.dim == 2:
         return _bisected_to(draft(1), field, domain)
-    for factor in _FACTORS[domain.dim]:
-        if factor == 1 or nodes > _LEAST[domain.dim] * factor**domain.dim:
+    for factor in _FACTORS:
+        if factor == 1 or nodes > _LEAST * factor**3:
             try:
                 coarse = draft(factor)
-                if factor == 1 or _shape(coarse) > _SHAPES[domain.dim]:
-                    onto = (lambda mesh, _: onto_arcs(domain, mesh)) if isinstance(domain, Outline) else None
-                    return finished(domain, drafted(domain, coarse, lambda mesh: field(mesh.points), onto))
+                if factor == 1 or _shape(coarse) > _SHAPE:
+                    return finished(domain, drafted(domain, coarse, lambda mesh: field(mesh.points)))
             except NetgenUnfinished:
                 raise
             except ValueError:
@@ -228,9 +244,9 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     max_size : float; of an assembly also a mapping of str to float
         Largest edge length, m.
     rounds : int
-        How often Netgen meshes again with the sizes at the centroids of the mesh before, >= 1; two bring it near
-        the field within sixteenths of ``max_size``, each further one eight times as deep, and one or two more draw
-        it close. Where it is still too coarse, elements are bisected.
+        How often Netgen, where it is used, meshes again with the sizes at the centroids of the mesh before, >= 1; two
+        bring it near the field within sixteenths of ``max_size``, each further one eight times as deep, and one or two
+        more draw it close. Where it is still too coarse, elements are bisected.
 
     Returns
     -------
@@ -267,6 +283,12 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     def wanted(x: np.ndarray) -> np.ndarray:
         return np.minimum(sizes_at(size_function, x), max_size)
 
+    nodes = guessed_nodes(domain, max_size, {}, grading)
+    if domain.dim == 2 and mesher == "bisection":
+        refuse_too_many(nodes, domain)
+        if (mesh := _plane(domain, wanted, grading)) is not None:
+            return mesh
+
     # Netgen alone sees a field that is cut off at the ratio it can take
     def limited(factor: float, ratio: float, coarser: float = 1) -> SizeField:
         return lambda x: np.maximum(factor * wanted(x), coarser * max_size / ratio)
@@ -278,7 +300,7 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
                   for k in range(rounds)]
         return netgen_mesh(domain, fields, factor * max_size, {}, min(1.0, factor * grading), rounds)
 
-    return _made(domain, guessed_nodes(domain, max_size, {}, grading), draft, wanted, mesher)
+    return _made(domain, nodes, draft, wanted, mesher)
 
 
 def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArrays:

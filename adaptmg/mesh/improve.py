@@ -283,7 +283,7 @@ def _dot(points, a, b, c):
 
 
 @inner_kernel
-def _replace(across, e, old, new):
+def replace_neighbour(across, e, old, new):
     """The neighbour ``old`` of an element is now another one."""
     if e >= 0:
         for k in range(3):
@@ -292,38 +292,45 @@ def _replace(across, e, old, new):
                 return
 
 
+@inner_kernel
+def swap_edge(points, elements, across, e, k):
+    """Swap the edge opposite corner k of an element, which has a neighbour there, unless it is Delaunay; returns
+    whether. The corner k then comes first in both elements."""
+    f = np.int64(across[e, k])
+    a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+    m = 0
+    while elements[f, m] == b or elements[f, m] == c:
+        m += 1
+    d = elements[f, m]
+    cross_a, cross_d = _cross(points, a, b, c), _cross(points, d, c, b)
+    dot_a, dot_d = _dot(points, a, b, c), _dot(points, d, b, c)
+    # sine of the sum of the angles
+    if cross_a * dot_d + cross_d * dot_a >= -1e-10 * (cross_a * cross_d + abs(dot_a * dot_d)):
+        return False
+    if not (_cross(points, a, b, d) > 0.0 and _cross(points, a, d, c) > 0.0):
+        return False
+    beside_b, beside_c = across[e, (k + 2) % 3], across[e, (k + 1) % 3]
+    over_b, over_c = across[f, (m + 1) % 3], across[f, (m + 2) % 3]
+    # f = d c b: opposite c lies the edge b d, opposite b the edge d c
+    elements[e, 0], elements[e, 1], elements[e, 2] = a, b, d
+    elements[f, 0], elements[f, 1], elements[f, 2] = a, d, c
+    across[e, 0], across[e, 1], across[e, 2] = over_b, f, beside_b
+    across[f, 0], across[f, 1], across[f, 2] = over_c, beside_c, e
+    replace_neighbour(across, over_b, f, e)
+    replace_neighbour(across, beside_c, e, f)
+    return True
+
+
 @kernel
 def _swap(points, elements, across):
     """Swap edges once through the mesh; returns how many."""
     swapped = 0
     for e in range(len(elements)):
         for k in range(3):
-            f = np.int64(across[e, k])
-            if f < 0:
-                continue
-            a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-            m = 0
-            while elements[f, m] == b or elements[f, m] == c:
-                m += 1
-            d = elements[f, m]
-            cross_a, cross_d = _cross(points, a, b, c), _cross(points, d, c, b)
-            dot_a, dot_d = _dot(points, a, b, c), _dot(points, d, b, c)
-            # sine of the sum of the angles
-            if cross_a * dot_d + cross_d * dot_a >= -1e-10 * (cross_a * cross_d + abs(dot_a * dot_d)):
-                continue
-            if not (_cross(points, a, b, d) > 0.0 and _cross(points, a, d, c) > 0.0):
-                continue
-            beside_b, beside_c = across[e, (k + 2) % 3], across[e, (k + 1) % 3]
-            over_b, over_c = across[f, (m + 1) % 3], across[f, (m + 2) % 3]
-            # f = d c b: opposite c lies the edge b d, opposite b the edge d c
-            elements[e, 0], elements[e, 1], elements[e, 2] = a, b, d
-            elements[f, 0], elements[f, 1], elements[f, 2] = a, d, c
-            across[e, 0], across[e, 1], across[e, 2] = over_b, f, beside_b
-            across[f, 0], across[f, 1], across[f, 2] = over_c, beside_c, e
-            _replace(across, over_b, f, e)
-            _replace(across, beside_c, e, f)
-            swapped += 1
-            break
+            # each edge is looked at from one side
+            if across[e, k] > e and swap_edge(points, elements, across, e, k):
+                swapped += 1
+                break
     return swapped
 
 

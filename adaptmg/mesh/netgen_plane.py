@@ -244,4 +244,4 @@ def finished(domain: Domain, mesh: MeshArrays) -> MeshArrays:
     names = tuple(dict.fromkeys(domain.boundaries))
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
     # other names leave a mesh sound
-    return sound_by_construction(replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names))
+    return sound_by_construction(replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None))

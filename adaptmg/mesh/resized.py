@@ -1,14 +1,14 @@
-r"""resized: a mesh of a domain in one call of Netgen, by sizes at many points.
+r"""resized: a mesh of solids in one call of Netgen, by sizes at many points.
 
 :func:`adaptmg.mesh.sized` learns a size function by drafts, as it knows nothing of it. Where sizes are known on a mesh
 and grow slowly (adaptive meshes, :mod:`adaptmg.estimate.remesh`), Netgen follows them in one call. Uniform
-refinement of a mesh of twice the sizes, every element cut in four (3D: eight) with new nodes on the curves, is cheaper
-still: a k-fold refinement asks Netgen for :math:`2^k h` and so for :math:`2^{-kd}` of the nodes. Sizes must then grow
+refinement of a mesh of twice the sizes, every element cut in eight with new nodes on the faces, is cheaper still: a
+k-fold refinement asks Netgen for :math:`2^k h` and so for :math:`2^{-3k}` of the nodes. Sizes must then grow
 :math:`2^k` times more slowly.
 
 Most of Netgen's time goes into better shapes. This is done here, in arrays (:mod:`adaptmg.mesh.improve`), of a draft
-and again of what is made of it: a fiftieth of the time for shapes as good or better. Solids with faces other than
-planes, cylinders, cones, spheres and tori are left to Netgen.
+and again of what is made of it. Solids with faces other than planes, cylinders, cones, spheres and tori are left to
+Netgen.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, swept
-from adaptmg.mesh.domains import extent, in_edges
-from adaptmg.mesh.drafted import onto_arcs
+from adaptmg.mesh.domains import extent
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_guard import MAX_NODES, Netgen, NetgenUnfinished, netgen
 from adaptmg.mesh.netgen_plane import SizesAt, finished, one_mesh
@@ -30,18 +29,16 @@ from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.step import step_contents, step_shapes
 from adaptmg.mesh.structured import merged, per_body
 from adaptmg.mesh.surfaces import candidates, onto_surfaces, surfaces_of
-from adaptmg.problem.plane_domains import Domain, Outline
+from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
-# Netgen takes no notice of sizes within 1.2 of what it knows: given twice, it keeps to within a tenth either way. Its
-# drafts in the plane are finer than asked for, its tetrahedra are so where it is to improve them; with these factors
-# the expected number of nodes comes out
-_PASSES, _PLAIN = {2: (1.03, 0.935), 3: (1.1,)}, {3: (1.0,)}
-_STEPS_NAME = {2: "optsteps2d", 3: "optsteps3d"}
+# Netgen's tetrahedra are finer than asked for where it is to improve them; with these factors the expected number of
+# nodes comes out, of drafts and of others
+_DRAFT, _PLAIN = 1.1, 1.0
 # how often Netgen improves shapes: of drafts, and of what is not improved here
-_STEPS, _ALL_STEPS = {2: 0, 3: 2}, 3
+_STEPS, _ALL_STEPS = 2, 3
 # rounds of improvement of a draft, and after refinement
-_ROUNDS, _ROUNDS_AFTER = {2: 8, 3: 1}, {2: 1, 3: 2}
+_ROUNDS, _ROUNDS_AFTER = 1, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +61,10 @@ class PointSizes:
     def for_netgen(self, lower: np.ndarray, scale: float, grading: float, refinements: int, *, draft: bool
                    ) -> tuple[dict[str, float], SizesAt]:
         """Options and sizes for the domain moved by ``-lower`` and divided by ``scale``; a draft is improved here."""
-        dim = self.points.shape[1]
-        steps, passes = (_STEPS[dim], _PASSES[dim]) if draft else (_ALL_STEPS, _PLAIN[dim])
+        steps, share = (_STEPS, _DRAFT) if draft else (_ALL_STEPS, _PLAIN)
         factor = 2**refinements / scale
-        options = {"maxh": factor * float(self.sizes.max()), "grading": grading, _STEPS_NAME[dim]: steps}
-        places = (self.points - lower) / scale
-        return options, [(places, share * factor * self.sizes) for share in passes]
+        options = {"maxh": factor * float(self.sizes.max()), "grading": grading, "optsteps3d": steps}
+        return options, [((self.points - lower) / scale, share * factor * self.sizes)]
 
 
 def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, grading: float = 0.3,
@@ -84,15 +79,14 @@ def resized(domain: Domain, sizes: PointSizes | Mapping[str, PointSizes], *, gra
     if isinstance(domain, StepFile):
         return _step(domain, sizes, grading, refinements)
     checks.instance("sizes", sizes, PointSizes)
-    domain = in_edges(domain)
     if isinstance(domain, SolidDomain):
         with netgen() as worker:
             shape = built_shape(worker, domain)
             return _attempts(domain, grading, refinements,
                              lambda g, k: ordered(domain, _shape(worker, shape, sizes, g, k)))
-    if not isinstance(domain, Domain):
-        raise TypeError(f"domain must be a plane domain, a solid, an Assembly of these or a StepFile, got {domain!r}")
-    return _attempts(domain, grading, refinements, lambda g, k: _plane_or_box(domain, sizes, g, k))
+    if not isinstance(domain, Box):
+        raise TypeError(f"domain must be a Box, another solid, an Assembly of these or a StepFile, got {domain!r}")
+    return _attempts(domain, grading, refinements, lambda g, k: _box(domain, sizes, g, k))
 
 
 def _attempts(domain: Domain, grading: float, refinements: int, mesh: Callable[[float, int], MeshArrays]) -> MeshArrays:
@@ -110,18 +104,16 @@ def _attempts(domain: Domain, grading: float, refinements: int, mesh: Callable[[
                      "finer mesh") from why
 
 
-def _plane_or_box(domain: Domain, sizes: PointSizes, grading: float, refinements: int) -> MeshArrays:
-    """A mesh of straight or circular edges, or of a box: Netgen's draft, improved and refined in arrays."""
+def _box(domain: Box, sizes: PointSizes, grading: float, refinements: int) -> MeshArrays:
+    """A mesh of a box: Netgen's draft, improved and refined in arrays."""
     lower, scale = extent(domain)
     options, at = sizes.for_netgen(lower, scale, grading, refinements, draft=True)
-    draft = check_mesh(one_mesh(domain, lower, scale, {}, options, at, MAX_NODES[domain.dim]))
-    mesh = improved(draft, _ROUNDS[domain.dim])
+    draft = check_mesh(one_mesh(domain, lower, scale, {}, options, at, MAX_NODES[3]))
+    mesh = improved(draft, _ROUNDS)
     for _ in range(refinements):
         mesh = halved(mesh)
-        if isinstance(domain, Outline):
-            mesh = onto_arcs(domain, mesh)
     if refinements:
-        mesh = improved(mesh, _ROUNDS_AFTER[domain.dim])
+        mesh = improved(mesh, _ROUNDS_AFTER)
     return finished(domain, mesh)
 
 
@@ -149,6 +141,6 @@ def _shape(worker: Netgen, shape: Shape, sizes: PointSizes, grading: float, refi
     if known is not None:
         surfaces = surfaces_of(known, unit)
         for _ in range(refinements):
-            unit = improved(onto_surfaces(surfaces, halved(unit), unit.n_nodes), _ROUNDS_AFTER[3])
+            unit = improved(onto_surfaces(surfaces, halved(unit), unit.n_nodes), _ROUNDS_AFTER)
     check_volume(unit, shape.volume)
     return in_metres(unit, shape)

@@ -25,8 +25,8 @@ from adaptmg.mesh.soundness import least_angle
 _EXACT, _NEAR = 1e-9, 1e-6
 # nodes end this near to their surfaces; steps at most; squared angle between normals below which two surfaces are one
 _ON, _STEPS, _SAME = 1e-13, 60, 1e-16
-#: smallest angle that a refined element must have where nodes moved, degrees, by dimension
-_FLAT = {2: 0.1, 3: 10.0}
+#: smallest angle that a refined element must have where nodes moved, degrees
+_FLAT = 10.0
 
 
 class Misplaced(ValueError):
@@ -171,12 +171,8 @@ def onto_surfaces(surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int) ->
         raise Misplaced(f"{len(rest)} nodes do not reach the surfaces of their faces")
     points = mesh.points.copy()
     points[nodes] = places
-    return unless_flat(mesh, points)
-
-
-def unless_flat(mesh: MeshArrays, points: np.ndarray) -> MeshArrays:
-    """The sound mesh with other points; Misplaced if one of the elements around those that moved became flat."""
-    moved = (points != mesh.points).any(axis=1)
-    if not least_angle(points, mesh.elements[moved[mesh.elements].any(axis=1)]) > _FLAT[mesh.dim]:
+    moved = np.zeros(mesh.n_nodes, dtype=bool)
+    moved[nodes] = True
+    if not least_angle(points, mesh.elements[moved[mesh.elements].any(axis=1)]) > _FLAT:
         raise Misplaced("elements at a curved boundary became flat")
     return trusted(replace(mesh, points=points, source=None), None, mesh.sound)

@@ -49,7 +49,7 @@ def test_plane_problems(case, refinements):
     field = SizeField(mesh_before, sizes)
     for k, body in enumerate(mesh.bodies):
         own = mesh.element_body == k
-        relative = simplex_sizes(mesh)[own] / field.at(mesh.points[mesh.elements[own]].mean(axis=1), body)
+        relative = simplex_sizes(mesh)[own] / field.function(body)(mesh.points[mesh.elements[own]].mean(axis=1))
         assert 0.9 < np.median(relative) < 1.15
         assert np.quantile(relative, 0.02) > 0.6 and np.quantile(relative, 0.98) < 1.5
     assert quality(mesh).min_angle > 20
@@ -206,15 +206,15 @@ def test_number_of_nodes_bounds_and_growth(seed, growth, spread):
 def test_size_fields_are_linear_in_each_body(dim):
     mesh, slope = structured(3, dim), np.arange(1.0, dim + 1)
     field, x = SizeField(mesh, 1 + mesh.points @ slope), np.random.default_rng(1).random((50, dim))
-    np.testing.assert_allclose(field.at(x, mesh.bodies[0]), 1 + x @ slope, rtol=1e-12)
-    for places, sizes in field.samples(dense=True).values():
+    np.testing.assert_allclose(field.function(mesh.bodies[0])(x), 1 + x @ slope, rtol=1e-12)
+    for places, sizes in field.samples().values():
         np.testing.assert_allclose(sizes, 1 + places @ slope, rtol=1e-12)
     both = two_boxes(2, dim)
     body = np.zeros(both.n_nodes)
     body[both.elements] = both.element_body[:, None]
     field = SizeField(both, 1 + body)
     for k, name in enumerate(both.bodies):
-        assert (field.at(both.points[body == k], name) == 1 + k).all()
+        assert (field.function(name)(both.points[body == k]) == 1 + k).all()
         places, sizes = field.samples()[name]
         assert (sizes == 1 + k).all() and len(places) == (body == k).sum() + (both.element_body == k).sum()
     coarse, fine = structured(2, 2), structured(32, 2)

@@ -6,24 +6,19 @@ import adaptmg as am
 from adaptmg.mesh import graded, netgen_guard
 
 CUBE = am.Box(width=1, depth=1, height=1)
-
-
-def _polygon(*vertices: tuple[float, float]) -> am.Polygon:
-    return am.Polygon(vertices=vertices, boundaries=tuple("abcdefgh"[:len(vertices)]))
+RECTANGLE = am.Polygon(vertices=((1, 0), (1.000001, 0), (1.000001, 1), (1, 1)), boundaries=tuple("abcd"))
 
 
 def _meshed(domain):
     """With little time; in the child only, which this table has to itself."""
-    netgen_guard.LIMIT_S.update({2: 1.0, 3: 3.0})
+    netgen_guard.LIMIT_S[3] = 3.0
     graded(domain, 0.2)
 
 
 def _thin():
     """Thin parts, for sizes of a tenth or so of the whole."""
-    thin = {"rectangle": am.Rectangle(width=1, height=1e-5), "needle": _polygon((0, 0), (1, 0), (1, 1e-4)),
-            "slot": _polygon((0, 0), (.5, 0), (.5, .5), (.500001, .5), (.500001, 0), (1, 0), (1, 1), (0, 1)),
-            "box": am.Box(width=1e-9, depth=1, height=1), "wire": am.Cylinder((0, 0, 0), (0, 0, 1), 1e-6, 1),
-            "tube": am.Revolution(_polygon((1, 0), (1.000001, 0), (1.000001, 1), (1, 1))),
+    thin = {"box": am.Box(width=1e-9, depth=1, height=1), "wire": am.Cylinder((0, 0, 0), (0, 0, 1), 1e-6, 1),
+            "tube": am.Revolution(RECTANGLE),
             "cut in two": am.Cut(CUBE, am.Box(width=1e-3, depth=2, height=2, origin=(.5, -.5, -.5))),
             "nothing left": am.Cut(CUBE, am.Box(width=3, depth=3, height=3, origin=(-1, -1, -1))),
             "hole": am.Cut(CUBE, am.Cylinder((.5, .5, -1), (0, 0, 1), 1e-6, 3)),

@@ -47,11 +47,11 @@ RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("foot", "o
 @pytest.mark.parametrize(("domain", "contact", "size", "ratio"), [(SQUARE, "bottom", 5e-4, 2), (ANGLE, "c", 0.025, 4),
                                                                   (RING, "inner", 0.015, 4), (BOX, "bottom", 3e-3, 2)],
                          ids=["square", "angle", "ring", "box"])
-def test_a_small_draft_is_refined_to_the_sizes(domain, contact, size, ratio, monkeypatch):
+def test_sizes_come_from_a_small_draft_or_none(domain, contact, size, ratio, monkeypatch):
     drafts, original = [], grading.netgen_mesh
     monkeypatch.setattr(grading, "netgen_mesh", lambda *given: drafts.append(original(*given)) or drafts[-1])
     fine, coarse = (graded(domain, h, contact, ratio) for h in (size, 2 * size))
-    assert drafts[0].n_nodes < fine.n_nodes / 5
+    assert drafts[0].n_nodes < fine.n_nodes / 5 if domain is BOX else not drafts
     # whoever checked it: the arrays are sound
     check_mesh(replace(fine, source=None), dict.fromkeys(domain.boundaries))
     at = fine.points[fine.elements]
@@ -73,9 +73,9 @@ def test_neighbouring_levels_come_from_different_drafts(monkeypatch):
     sizes, original = [], grading.netgen_mesh
     monkeypatch.setattr(grading, "netgen_mesh", lambda domain, field, size, *given:
                         sizes.append(size) or original(domain, field, size, *given))
-    for level in range(7):
-        graded(SQUARE, 10e-3 / 2**level)
-    assert sizes[-1] > 5 * 10e-3 / 2**6
+    for level in range(5):
+        graded(BOX, 20e-3 / 2**level)
+    assert sizes[-1] > 3 * 20e-3 / 2**4
     ratios = np.divide(sizes[:-1], sizes[1:])
     assert (np.abs(ratios - 1) > 0.02).all()
 

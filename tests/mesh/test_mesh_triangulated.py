@@ -1,0 +1,116 @@
+"""Plane domains triangulated without Netgen: sound, Delaunay, of the sizes asked for, whatever the outline."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from uncompiled import uncompile
+
+import adaptmg as am
+from adaptmg.mesh import check_mesh, graded, grading, improve, quality, sized, triangulate
+from adaptmg.mesh.netgen_plane import equilateral_sizes
+from adaptmg.mesh.triangulate import Untriangulated, triangulated
+
+SQUARE = am.Rectangle(width=1, height=1)
+
+
+def polygon(*vertices):
+    """A polygon whose edges are called a, b, ..."""
+    return am.Polygon(vertices=vertices, boundaries=tuple("abcdefgh"[:len(vertices)]))
+
+
+DOMAINS = {
+    "square": SQUARE,
+    "angle": polygon((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)),
+    "two holes": am.Cut(am.Cut(am.Rectangle(width=4, height=4), am.Circle((1, 2), 0.5, "first")),
+                        am.Circle((3, 2), 0.9, "second")),
+    "narrow ring": am.Cut(am.Circle((0, 0), 1, "outer"), am.Circle((0.45, 0), 0.54, "inner")),
+    "cusp": am.Outline(vertices=((0, 0), (1, 0), (1, 1)), boundaries=("bottom", "right", "arc"), arcs={2: (0, 1)}),
+    "slot": polygon((0, 0), (.5, 0), (.5, .5), (.500001, .5), (.500001, 0), (1, 0), (1, 1), (0, 1)),
+    "needle": polygon((0, 0), (1, 0), (1, 1e-4)),
+    "strip": am.Rectangle(width=1, height=1e-5),
+}
+
+
+@pytest.fixture(autouse=True)
+def _no_netgen(monkeypatch):
+    monkeypatch.setattr(grading, "netgen_mesh", lambda *_: pytest.fail("Netgen was asked"))
+
+
+@pytest.mark.parametrize("size", [0.3, 0.05])
+@pytest.mark.parametrize("domain", DOMAINS.values(), ids=DOMAINS)
+def test_meshes_are_sound_and_delaunay(domain, size):
+    mesh = graded(domain, size)
+    # by what it is, not by what it says
+    check_mesh(replace(mesh, source=None), dict.fromkeys(domain.boundaries))
+    outline = getattr(domain, "outline", domain)
+    for name in dict.fromkeys(outline.boundaries):
+        away = grading.distance_to_boundaries(outline, [name], mesh.points[mesh.boundary_nodes(name)])
+        assert away.max() < 2e-15
+    for vertex in getattr(outline, "vertices", SQUARE.polygon.vertices if domain is SQUARE else ()):
+        assert (mesh.points == vertex).all(axis=1).sum() == 1
+    if domain in (SQUARE, DOMAINS["angle"], DOMAINS["two holes"]):
+        assert quality(mesh).min_angle > 28
+
+
+@pytest.mark.parametrize("domain", [SQUARE, DOMAINS["two holes"]], ids=["square", "two holes"])
+def test_sizes_follow_the_field(domain):
+    low = domain.lower
+
+    def field(x):
+        return np.minimum(0.01 + 0.25 * np.linalg.norm(x - low, axis=1), 0.2)
+
+    mesh = triangulated(grading.in_edges(domain), field)
+    relative = equilateral_sizes(mesh.points, mesh.elements) / field(mesh.points)[mesh.elements].mean(axis=1)
+    assert 0.85 < np.median(relative) < 1.1 and relative.max() < 1.6 and np.quantile(relative, 0.01) > 0.55
+    facets = equilateral_sizes(mesh.points, mesh.facets) / field(mesh.points)[mesh.facets].mean(axis=1)
+    assert facets.min() > 0.6 and facets.max() < 1.4
+    expected = 1.15 * (mesh.volumes / field(mesh.points[mesh.elements].mean(axis=1))**2).sum()
+    assert 0.8 < mesh.n_nodes / expected < 1.5
+
+
+def test_dips_and_jumps_of_a_size_function_are_met():
+    places = np.array([[0.31, 0.62], [0.7, 0.3]])
+
+    def dips(x):
+        return np.min([0.002 + 0.3 * np.maximum(np.linalg.norm(x - p, axis=1) - 0.06, 0) for p in places], axis=0)
+
+    mesh = sized(SQUARE, dips, 0.2)
+    for place in places:
+        assert np.sort(np.linalg.norm(mesh.points - place, axis=1))[1] < 0.004
+    # holes in the field, far narrower than the elements around them: seen at nodes and centroids, half of them are met
+    discs = np.random.default_rng(0).uniform(0.1, 0.9, (12, 2))
+    met = [sized(SQUARE, lambda x, p=p: np.where(np.linalg.norm(x - p, axis=1) < 0.06, 0.01, 0.2), 0.2).n_nodes > 200
+           for p in discs]
+    assert sum(met) >= 8
+    jump = sized(SQUARE, lambda x: np.where(x[:, 0] < 0.5, 0.01, 0.2), 0.2, grading=0.2)
+    # beyond the jump sizes grow by a fifth of the distance, until the next side
+    x, sizes = jump.points[jump.elements].mean(axis=1)[:, 0], equilateral_sizes(jump.points, jump.elements)
+    beyond = (x > 0.52) & (x < 0.8)
+    assert (sizes[beyond] < 1.8 * (0.01 + 0.2 * (x[beyond] - 0.5))).all() and sizes.max() > 0.07
+
+
+def test_too_many_nodes_are_refused_before_they_are_made():
+    for size in (lambda x: np.full(len(x), 1e-5), lambda x: 1e-7 + 0.02 * np.abs(x[:, 0] - 0.5)):
+        with pytest.raises(ValueError, match=r"the sizes ask for about .* nodes \(at most 5e\+06\)"):
+            sized(SQUARE, size, 0.1)
+
+
+def test_netgen_meshes_what_triangulation_does_not(monkeypatch):
+    asked = []
+    monkeypatch.setattr(triangulate, "_CUTS", 0)
+    monkeypatch.setattr(grading, "netgen_mesh", lambda *given: asked.append(given) or am.mesh.structured(SQUARE, 4))
+    with pytest.raises(Untriangulated, match="edges of Rectangle"):
+        triangulated(SQUARE, lambda x: np.full(len(x), 0.5))
+    assert graded(SQUARE, 0.5).n_nodes == 25 and len(asked) == 1
+
+
+def test_kernels_are_plain_python(monkeypatch):
+    compiled = [graded(domain, 0.4, domain.boundaries[0], 4) for domain in (SQUARE, DOMAINS["narrow ring"])]
+    dips = sized(SQUARE, am.mesh.SizeNear([(0.4, 0.4)], size=0.05), 0.3)
+    uncompile(monkeypatch, improve, triangulate)
+    for domain, mesh in zip((SQUARE, DOMAINS["narrow ring"]), compiled, strict=True):
+        plain = graded(domain, 0.4, domain.boundaries[0], 4)
+        assert (plain.elements == mesh.elements).all()
+        np.testing.assert_allclose(plain.points, mesh.points, atol=1e-12)
+    assert (sized(SQUARE, am.mesh.SizeNear([(0.4, 0.4)], size=0.05), 0.3).elements == dips.elements).all()
