@@ -7,11 +7,9 @@ node projected onto what a contact status lets move, the coarse matrix is :math:
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 import numpy as np
 from scipy import sparse
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from adaptmg._runtime import kernel
@@ -188,7 +186,8 @@ class Aggregates:
         column = place[self.indices][:, None, None] + within
         below = np.abs(row - column)
         self.band = int(below.max(initial=0)) + 1
-        self.entries = (below * (count * modes) + np.minimum(row, column)).reshape(-1)
+        # column by column, as LAPACK has it
+        self.entries = (below + self.band * np.minimum(row, column)).reshape(-1)
 
 
 aggregates_of = remembered_of_structure(Aggregates)
@@ -295,17 +294,17 @@ class CoarseMatrix:
         self._sums = np.zeros(count * modes)
         self._unknowns, self._factor = aggregates.unknowns, None
         band = np.bincount(aggregates.entries, half.reshape(-1), aggregates.band * len(self._sums))
-        band = band.reshape(aggregates.band, -1)
+        band = band.reshape(-1, aggregates.band).T
         band[0] = 2 * band[0] + _raised(2 * band[0])
         if count:
-            with suppress(np.linalg.LinAlgError):  # a motion that nothing holds: the sweeps alone precondition too
-                self._factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+            factor, failed = dpbtrf(band, lower=1, overwrite_ab=1)
+            # a motion that nothing holds: the sweeps alone precondition too
+            self._factor = None if failed else factor
 
     def correct(self, residual: np.ndarray, result: np.ndarray) -> None:
         if self._factor is not None:
             _restrict(self._zero, residual, *self._given, self._sums)
-            self._sums[self._unknowns] = cho_solve_banded((self._factor, True), self._sums[self._unknowns],
-                                                          overwrite_b=True, check_finite=False)
+            self._sums[self._unknowns], _ = dpbtrs(self._factor, self._sums[self._unknowns], lower=1, overwrite_b=1)
             _prolong(self._zero, self._sums, *self._given, result)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from adaptmg._runtime import one_blas_thread
 from adaptmg._text import shortened
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.solver.aggregates import Aggregates, aggregates_of
 from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, product_and_diagonal, residual_energy
 
@@ -319,31 +319,40 @@ class Evidence:
         beyond = stays & (excess > 0)
         against[beyond] = _directions(friction)[beyond]
         lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * here)
-        change = np.zeros_like(self.u)
+        constant, change = _constant(self.problem), np.zeros_like(self.u)
         change[contact.nodes] = np.where(closed, gap, 0.0)[:, None] * contact.normals - stays[:, None] * slip * here
-        held = np.flatnonzero(self.fixed)
-        change.reshape(-1)[held] = self.problem.fixed_values[held] - self.unknowns.reshape(-1)[held]
-        outer = np.einsum("ni,nj->nij", contact.normals, contact.normals)
-        tangents = np.eye(dim) - outer
-        slides, closed_too = ~stays | beyond, closed[:, None, None]
-        kept = np.where(slides[:, None, None], tangents, 0.0) + np.where(closed_too, 0.0, outer)
+        fixed = constant.fixed
+        change.reshape(-1)[fixed] = self.problem.fixed_values[fixed] - self.unknowns.reshape(-1)[fixed]
+        slides, kept, tangents = ~stays | beyond, constant.free.copy(), constant.tangents
+        kept[:len(closed)] *= slides[:, None, None] * tangents + ~closed[:, None, None] * constant.normals
         turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))
-        across = (tangents - np.einsum("ni,nj->nij", against, against)) * (dim == 3)
-        dragged = (self.coefficient * (slides & closed))[:, None, None] * np.einsum(
-            "ni,nj->nij", against, contact.normals)
+        across = (tangents - against[:, :, None] * against[:, None]) * (dim == 3)
+        dragged = (self.coefficient * (slides & closed))[:, None, None] * against[:, :, None] * contact.normals[:, None]
         pressed = -np.where(closed, pressure, 0.0)[:, None] * contact.normals
-        held, kept = self._held(kept)
-        status = FrozenStatus(held, kept, contact.nodes, turning[:, None, None] * across, dragged)
+        status = FrozenStatus(constant.held, kept, contact.nodes, turning[:, None, None] * across, dragged)
         return status, change, self.claimed * sigma - pressed - lawful
 
-    def _held(self, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes in supports or contact, and the projections there, from those (n_contact, dim, dim) of contact."""
-        nodes = self.problem.contact.nodes
-        supported = np.flatnonzero(self.fixed) // self.problem.dim
-        held = np.append(nodes, np.setdiff1d(supported, nodes))
-        every = np.concatenate([kept, np.tile(np.eye(self.problem.dim), (len(held) - len(nodes), 1, 1))])
-        free = ~self.fixed[held]
-        return held, every * free[:, :, None] * free[:, None, :]
+
+@dataclass(frozen=True, eq=False)
+class _Constant:
+    """What all contact states of a problem have in common."""
+
+    fixed: np.ndarray  # (n_fixed,) int: dofs
+    held: np.ndarray  # (m,) int: nodes in contact, then the others in supports
+    free: np.ndarray  # (m, dim, dim): what supports leave of a projection at contact nodes, the projections at others
+    normals: np.ndarray  # (n_contact, dim, dim): projections onto the normals of contact nodes
+    tangents: np.ndarray  # (n_contact, dim, dim): and onto their tangents
+
+
+@remembered_of_structure
+def _constant(problem: DiscreteProblem) -> _Constant:
+    contact, dim, dofs = problem.contact, problem.dim, np.flatnonzero(problem.fixed)
+    held = np.append(contact.nodes, np.setdiff1d(dofs // dim, contact.nodes))
+    free = ~problem.fixed.reshape(-1, dim)[held]
+    both = (free[:, :, None] & free[:, None]).astype(float)
+    both[len(contact):] *= np.eye(dim)
+    normals = contact.normals[:, :, None] * contact.normals[:, None]
+    return _Constant(dofs, held, both, normals, np.eye(dim) - normals)
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:

@@ -234,8 +234,7 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
     least, missing = _FEW if len(residual) <= _SMALL else _MANY
     symmetric, energy, largest = status.symmetric, 0.0, 0.0
     kept: list[tuple[np.ndarray, np.ndarray]] = []  # orthonormal directions, and what the equations make of them
-    equations, shares = np.empty((0, 0)), np.empty(0)
-    load: list[float] = []
+    equations, load, shares = np.empty((_MOST_COULOMB, _MOST_COULOMB)), np.empty(_MOST_COULOMB), np.empty(0)
     for step in range(1, (_MOST if symmetric else _MOST_COULOMB) + 1):
         direction, forces = precondition(residual)
         product, before = _dot(residual, direction), energy
@@ -262,15 +261,16 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
             _add(-share, forces, residual)
             energy += share * share
         else:
-            column = [_dot(v, forces) for v, _ in kept]
+            row = equations[step - 1]
+            equations[:step - 1, step - 1] = [_dot(v, forces) for v, _ in kept]
+            row[:step - 1] = [_dot(direction, f) for _, f in kept]
+            row[step - 1] = _dot(direction, forces)
             kept.append((direction, forces))
-            row = [_dot(direction, f) for _, f in kept]
-            equations = np.vstack([np.column_stack([equations, column]), row])
             # what is left of the load and what the earlier directions take of it
-            shares = np.append(shares, 0.0)
-            load.append(_dot(direction, residual) + float(shares @ row))
+            taken = np.append(shares, 0.0)
+            load[step - 1] = _dot(direction, residual) + taken @ row[:step]
             try:
-                taken, shares = shares, np.linalg.solve(equations, load)
+                shares = np.linalg.solve(equations[:step, :step], load[:step])
             except np.linalg.LinAlgError:
                 return energy, False
             for share, (_, f) in zip(shares - taken, kept, strict=True):
@@ -312,7 +312,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _dot_of_rows(first: int, last: int, a: np.ndarray, b: np.ndarray) -> float:
-    return np.einsum("nd,nd->", a[first:last], b[first:last])
+    return np.vdot(a[first:last], b[first:last])
 
 
 @kernel
