@@ -1,5 +1,6 @@
 """The store: two processes that write, a file that changes while it is in use, results that are kept as files."""
 
+import gc
 import json
 import math
 import os
@@ -8,6 +9,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -163,7 +165,13 @@ def test_arrays_meshes_results_and_figures_are_kept(tmp_path, where):
     study.run(progress=False, rerun=True)
     assert study.load(0, "array")[0, 0] == 1.0
     # the old one is gone
-    assert len(list(study._files.path.rglob("array*.npy"))) == 1
+    folder = study._files.path
+    assert len(list(folder.rglob("array*.npy"))) == 1
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        del study
+        gc.collect()
+    assert folder.exists() == (where == "file") and not [one for one in caught if "adaptmg" in str(one.message)]
     with pytest.raises(ValueError, match="did you mean 'array'"):
         study.load(0, "arrey")
 
