@@ -145,6 +145,18 @@ def test_texts_and_results_are_bounded_and_any_text_is_stored(tmp_path):
     assert bounded("abc", 100) == "abc"
 
 
+def test_files_of_a_study_in_memory_go_with_it():
+    study = Study(lambda n: {"array": np.arange(n)}, {"n": [3]})
+    study.run(progress=False)
+    folder = study._files.path
+    assert list(folder.rglob("array*.npy"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        del study
+        gc.collect()
+    assert not folder.exists() and not [one for one in caught if "adaptmg" in str(one.message)]
+
+
 @pytest.mark.parametrize("where", ["file", "memory"])
 def test_arrays_meshes_results_and_figures_are_kept(tmp_path, where):
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
@@ -165,13 +177,7 @@ def test_arrays_meshes_results_and_figures_are_kept(tmp_path, where):
     study.run(progress=False, rerun=True)
     assert study.load(0, "array")[0, 0] == 1.0
     # the old one is gone
-    folder = study._files.path
-    assert len(list(folder.rglob("array*.npy"))) == 1
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        del study
-        gc.collect()
-    assert folder.exists() == (where == "file") and not [one for one in caught if "adaptmg" in str(one.message)]
+    assert len(list(study._files.path.rglob("array*.npy"))) == 1
     with pytest.raises(ValueError, match="did you mean 'array'"):
         study.load(0, "arrey")
 
