@@ -286,7 +286,7 @@ class Hierarchy:
             if known is not None and known._numbers() == numbers:  # else the earlier run changed them in place
                 return known.with_problem(problem)._kept(key)
         meshes = mesh()
-        for message in _overlaps(problem, meshes[-1]):
+        for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
             warnings.warn(message, UserWarning, stacklevel=4)
         checks.flag("contact_rows", contact_rows)
         builder = the_transfer(transfer)
@@ -481,6 +481,19 @@ def _check_total(name: str, nodes: Sequence[int], dim: int) -> None:
     if sum(nodes) > most:
         raise ValueError(f"{name} must make at most {most:.3g} nodes in all, got {sum(nodes):.3g} on {len(nodes)} "
                          f"levels, {max(nodes):.3g} on the finest: leave levels out (halving the divisions is usual)")
+
+
+def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
+    """A message on a mesh that is not one of the domain; chords of arcs may miss it a little."""
+    if not hasattr(problem.domain, "lower") or mesh.dim != problem.dim:  # no domain, or a STEP file
+        return []
+    spans = [np.stack(ends) for ends in ((mesh.points.min(axis=0), mesh.points.max(axis=0)),
+                                         (problem.domain.lower, problem.domain.upper))]
+    if (np.abs(spans[0] - spans[1]) <= 0.25 * np.ptp(spans[1], axis=0).max()).all():
+        return []
+    shown = [" to ".join(str(tuple(map(float, corner.round(9)))) for corner in span) for span in spans]
+    return [f"the finest mesh spans {shown[0]} m, but problem.domain {shown[1]} m: are the lengths of the mesh in mm? "
+            "adaptmg takes m: scale the mesh, or give the problem its domain"]
 
 
 def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:

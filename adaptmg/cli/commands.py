@@ -120,8 +120,7 @@ def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
         help="only runs with NAME=VALUE, or with !=, <, <=, >, >= and a number; several times: all of them")
     add("--details", action="store_true", help="also tries, memory, machine, commit ...")
     add("--limit", metavar="ROWS", type=int, default=50, help="rows that are printed at most; JSON and files have all")
-    add("--to", metavar="FILE", type=Path, help="write all of them: .csv or .tex")
-    add("--take-in", metavar="STORE", type=Path, help="first copy the runs of another store into this one")
+    add("--to", metavar="FILE", type=Path, help="write all of them as .csv")
     _add_json(add)
     add = made(_report, "write a page that opens offline: pictures of results, all runs, those that failed",
                "results/friction.sqlite --result cycles --to friction.html")
@@ -268,14 +267,7 @@ def _runs(given: Namespace) -> None:
     conditions = [runs.parsed(text) for text in given.where]
     if given.to is not None:
         runs.ending(given.to)
-    if given.take_in is None:
-        found = runs.opened(given.store)
-    else:
-        from adaptmg.study.store import Store
-
-        runs.opened(given.take_in)  # no store is made for one that does not exist
-        found = Store(given.store)
-        _say(f"{found.take_in(given.take_in)} runs taken in from {given.take_in}", err=True)
+    found = runs.opened(given.store)
     names = found.studies()
     if given.study is None and len(names) != 1 and not (given.to or conditions or given.status):
         table = {name: [row[k] for row in found.summaries()]
@@ -287,7 +279,7 @@ def _runs(given: Namespace) -> None:
                                  limit=None if given.json or given.to is not None else limit)
     units = runs.units(found, name, table)
     if given.to is not None:
-        runs.write(table, given.to, units)
+        runs.write(table, given.to)
         _say(f"wrote {given.to}", err=True)
     if given.json:
         _say(lines(rows(table)))

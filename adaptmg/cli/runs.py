@@ -15,7 +15,6 @@ from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
 from adaptmg.study.record import DETAILS, RESERVED, Record, frame
 from adaptmg.study.store import Store
-from adaptmg.study.tables import cells, numeric
 
 Condition = tuple[str, str, str]
 
@@ -154,31 +153,17 @@ def _holds(row: Mapping[str, object], name: str, sign: str, text: str) -> bool:
 def ending(path: Path) -> Path:
     """Return a path whose ending names a kind of file that can be written."""
     target = checks.file_path("--to", path)
-    if target.suffix not in (".csv", ".tex"):
-        raise ValueError(f"--to must end in .csv or .tex, got {checks.shown(str(path))}")
+    if target.suffix != ".csv":
+        raise ValueError(f"--to must end in .csv, got {checks.shown(str(path))}")
     return target
 
 
-def write(table: pd.DataFrame, path: Path, units: Mapping[str, str] | None = None) -> None:
-    """Write a table as CSV or LaTeX (with units), by the ending of the name."""
-    target = ending(path)
-    if target.suffix == ".tex":
-        content = _latex(table, units).encode("utf-8", "backslashreplace")
-    else:
-        content = table.map(_plain).to_csv(index=False).encode()
-    write_bytes(target, content)
+def write(table: pd.DataFrame, path: Path) -> None:
+    """Write a table as CSV."""
+    write_bytes(ending(path), table.map(_plain).to_csv(index=False).encode())
 
 
 def _plain(value: object) -> object:
     if isinstance(value, tuple):
         return json.dumps(value)
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
-
-
-def _latex(table: pd.DataFrame, units: Mapping[str, str] | None) -> str:
-    headers, columns = cells(table, units)
-    kinds = "".join("r" if numeric(column) else "l" for _, column in table.items())
-    made = pd.DataFrame(dict(zip(headers, columns, strict=True)))
-    text = made.to_latex(index=False, column_format=kinds, escape=True)
-    # at the beginning of a row these would belong to the end of the row before
-    return re.sub(r"^(?=[\[*])", "{}", text, flags=re.MULTILINE)

@@ -1,7 +1,7 @@
 """petsc: a hierarchy or a discrete problem as a folder of files that PETSc loads (MatLoad, VecLoad, ISLoad).
 
-``manifest.json`` describes every file with unit, size and block size to programs, ``README.txt`` to people. Files of
-level k begin with ``levelK_``; level 0 is the coarsest. All numbers are big-endian, integers of 32 bits, reals of 64,
+``manifest.json`` describes every file with meaning, unit, size and block size. Files of level k begin with ``levelK_``;
+level 0 is the coarsest. All numbers are big-endian, integers of 32 bits, reals of 64,
 as in a PETSc of default configuration (PETSc manual, MatLoad, VecLoad, ISLoad):
 
 ==========  ==========================================================================================================
@@ -37,7 +37,7 @@ from adaptmg.solver.result import versions
 MATRIX, VECTOR, INDEX_SET = 1211216, 1211214, 1211218
 #: the largest integer of a PETSc with 32-bit indices
 LARGEST = 2**31 - 1
-_MANIFEST, _README = "manifest.json", "README.txt"
+_MANIFEST = "manifest.json"
 _FORMAT = "adaptmg for PETSc, 1"
 
 
@@ -79,7 +79,6 @@ def petsc(problem: Hierarchy | DiscreteProblem, directory: str | os.PathLike[str
                 # without blocks too: PETSc applies a block size that it read for one file to those read later
                 info = f"-{part.kind.lower()}load_block_size {part.block}\n"
                 write_bytes(new / f"{part.name}.petsc.info", info.encode())
-        write_bytes(new / _README, _readme(problem, parts).encode())
         write_bytes(new / _MANIFEST, json.dumps(_manifest(problem, parts), indent=1, ensure_ascii=False).encode())
         if target.exists():
             os.replace(target, waiting / "old")
@@ -98,7 +97,7 @@ def _check_target(target: Path) -> None:
     try:
         manifest = json.loads((target / _MANIFEST).read_text(encoding="utf-8"))
         files = [entry["file"] for entry in manifest["files"]] if manifest["format"].startswith(_FORMAT[:17]) else []
-        written = {*files, *(f"{name}.info" for name in files), _README, _MANIFEST}
+        written = {*files, *(f"{name}.info" for name in files), _MANIFEST}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         written = set()
     foreign = sorted({entry.name for entry in target.iterdir()} - written)
@@ -225,56 +224,3 @@ def _check(name: str, what: str, size: int) -> None:
     if size > LARGEST:
         raise ValueError(f"{name} has {size} {what}, more than the {LARGEST} that PETSc counts with its default "
                          "32-bit indices: export a coarser hierarchy, or a single level of it")
-
-
-_TEXT = """\
-{name}: {levels} for PETSc, written by adaptmg
-
-PETSc's binary format (big-endian, 32-bit integers, real double scalars): load with a PETSc of default configuration.
-Block sizes stand in the .info files, which PETSc reads by itself. manifest.json says all this to programs.
-
-What is posed. Find u (dof = dim * node + component, dim {dim}) with r = A u - b zero but at
-  fixed dofs        u = fixed_values there
-  contact nodes     u.n <= g0,  p = -r.n >= 0,  p (g0 - u.n) = 0,  |f_t| <= slip_limit + friction p,
-                    f_t, the tangential part of r, opposite to the slip u_t - slip_reference_t
-n are the unit normals out of the body. A has no boundary condition applied.{coupling}
-
-Files
-{files}
-
-In Python (petsc4py)
-
-    import numpy
-    from petsc4py import PETSc
-    def load(new, name):
-        viewer = PETSc.Viewer().createBinary(f"{{name}}.petsc", "r")
-        return new.load(viewer)
-    A = load(PETSc.Mat(), "{finest}matrix")
-    b = load(PETSc.Vec(), "{finest}load")
-    fixed = load(PETSc.IS(), "{finest}fixed")
-    nodes = load(PETSc.IS(), "{finest}contact_nodes").getIndices()
-    u = load(PETSc.Vec(), "{finest}fixed_values")
-    # the linear problem in which the contact nodes do not move
-    held = numpy.union1d(fixed.getIndices(), ({dim} * nodes[:, None] + numpy.arange({dim})).ravel())
-    A.zeroRowsColumns(held.astype(PETSc.IntType), 1.0, u, b)
-{prolongation}
-In C
-
-    MatCreate(comm, &A); MatSetType(A, MATAIJ);
-    PetscViewerBinaryOpen(comm, "{finest}matrix.petsc", FILE_MODE_READ, &viewer); MatLoad(A, viewer);
-"""
-
-
-def _readme(problem: Hierarchy, parts: Sequence[Part]) -> str:
-    finest, several = problem.finest.discrete, len(problem) > 1
-    prefix = f"level{len(problem) - 1}_"
-    coupling = ("\nSeveral bodies: the unknowns w at contact nodes are relative to the other body; A, b and the\n"
-                "contact conditions are in these, and the displacement is u = T w, T in the files 'coupling'."
-                if finest.coupling is not None else "")
-    widest = max(len(part.name) for part in parts)
-    files = "\n".join(f"  {part.name.ljust(widest)}  {part.kind.ljust(3)}  {part.meaning}"
-                      f"{f' [{part.unit}]' if part.unit else ''}" for part in parts)
-    prolongation = (f'    P = load(PETSc.Mat(), "{prefix}prolongation")   # PC of type mg: '
-                    f"pc.setMGInterpolation({len(problem) - 1}, P)\n" if several else "")
-    return _TEXT.format(name=printable(finest.name), levels=f"{len(problem)} level{'s' if several else ''}",
-                        dim=finest.dim, coupling=coupling, files=files, finest=prefix, prolongation=prolongation)

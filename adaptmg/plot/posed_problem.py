@@ -55,8 +55,7 @@ _Drawn = tuple[SurfaceLoad, np.ndarray, np.ndarray, np.ndarray]
 
 
 @style.styled
-def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays | None = None,
-            explode: float = 0.0) -> Figure:
+def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays | None = None) -> Figure:
     """Draw a contact problem: bodies, contact boundaries, obstacles, supports and loads.
 
     Gaps in front of obstacles too small to be seen are drawn enlarged, and the legend says so.
@@ -69,8 +68,6 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
         In 3D with ``projection="3d"``.
     mesh : MeshArrays, optional
         The mesh whose bodies and boundaries are drawn; default: the domain, in 3D a coarse mesh of it.
-    explode : float
-        3D only: move each body away from the centre by this multiple of its distance, to show contact surfaces.
 
     Examples
     --------
@@ -87,7 +84,7 @@ def problem(posed: ContactProblem, ax: Axes | None = None, *, mesh: MeshArrays |
         posed.check_boundaries(mesh.boundaries)
     if posed.dim == 3:
         ax = style.canvas(ax, (8.4, 5.6), dim=3)
-        _draw_solid(posed, _coarse_mesh(posed.domain) if mesh is None else mesh, ax, checks.number("explode", explode))
+        _draw_solid(posed, _coarse_mesh(posed.domain) if mesh is None else mesh, ax)
     else:
         bodies = _loops(posed.domain) if mesh is None else _triangles(mesh)
         lower, upper, _ = style.bounds(np.concatenate([loop for loops in bodies.values() for loop in loops]))
@@ -236,13 +233,11 @@ def _coarse_mesh(domain: Domain) -> MeshArrays:
     return graded(domain, sizes.get("", sizes))
 
 
-def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, explode: float) -> None:
+def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D) -> None:
     scale, unit = style.scaled(style.bounds(mesh.points)[2], "m")
     body_of_node = np.zeros(mesh.n_nodes, dtype=int)
     body_of_node[mesh.elements] = mesh.element_body[:, None]
-    centres = np.array([np.mean(style.bounds(mesh.points[body_of_node == k])[:2], axis=0)
-                        for k in range(len(mesh.bodies))])
-    points = (mesh.points + explode * (centres - centres.mean(axis=0))[body_of_node]) * scale
+    points = mesh.points * scale
     corners, of_boundary = points[mesh.facets], {name: mesh.facet_labels == k for k, name in enumerate(mesh.boundaries)}
     body, fills = body_of_node[mesh.facets[:, 0]], style.body_fills(len(mesh.bodies))
     colors = to_rgba_array(fills)[body]

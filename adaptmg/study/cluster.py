@@ -26,7 +26,6 @@ import pickle
 import queue
 import re
 import signal
-import sys
 import tempfile
 import time
 import uuid
@@ -400,11 +399,10 @@ _CONFIG = {
 
 
 def dask_setup(worker: object) -> None:
-    """Let the system end this process with its parent (Linux), even in compiled code that holds Python's lock. dask
-    calls this in each process of a local cluster."""
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+    """Let the system end this process with its parent, even in compiled code that holds Python's lock. dask calls this
+    in each process of a local cluster."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 @contextmanager

@@ -332,19 +332,9 @@ class Repeated(Design):
                 yield {**point, self._name: seed}
 
 
-def extended(design: Design, more: Design) -> Points:
-    """Return the points of a design, then those of another that are not among them."""
-    if set(design.names) != set(more.names):
-        raise ValueError(f"the designs must have the same parameters, got {', '.join(design.names)} and "
-                         f"{', '.join(more.names)}")
-    _check_length(len(design) + len(more))
-    return Points(list({canonical(point): point for part in (design, more) for point in part.points()}.values()))
-
-
 def stored_design(store: Store, study: str, fixed: Mapping[str, Value]) -> Points:
-    """Return the points of a study with these fixed parameters, computed or not; without the fixed ones."""
-    keys = dict.fromkeys([*store.get(study), *store.points(study)])
-    points = [{name: restored(value) for name, value in json.loads(key).items()} for key in keys]
+    """Return the stored points of a study with these fixed parameters, without the fixed ones."""
+    points = [{name: restored(value) for name, value in json.loads(key).items()} for key in store.get(study)]
     texts = {name: canonical({name: value}) for name, value in fixed.items()}
     mine = [{name: value for name, value in point.items() if name not in texts} for point in points
             if all(name in point and canonical({name: point[name]}) == text for name, text in texts.items())]

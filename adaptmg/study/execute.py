@@ -14,7 +14,6 @@ import io
 import pickle
 import platform
 import subprocess
-import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -124,7 +123,7 @@ def _trace(error: BaseException) -> str:
 
 
 def _reset_peak() -> None:
-    """Count the peak of memory from here, where the system can (Linux); elsewhere it is that of the process."""
+    """Count the peak of memory from here, where the system allows it."""
     try:
         with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
             file.write("5")
@@ -137,13 +136,7 @@ def _peak_memory() -> int:
         status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
         return 1024 * int(status.partition("VmHWM:")[2].split(maxsplit=1)[0])
     except (OSError, ValueError, IndexError):
-        pass
-    try:
-        import resource
-    except ImportError:
         return 0
-    # Linux counts in units of 1024 bytes, macOS in bytes
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 @cache

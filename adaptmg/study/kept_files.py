@@ -12,8 +12,10 @@ import hashlib
 import io
 import os
 import re
+import shutil
 import sys
 import tempfile
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,9 +101,11 @@ class Folder:
     """The files of the runs in a store; a temporary folder for a store in memory."""
 
     def __init__(self, store: Path | None) -> None:
-        self._temporary = tempfile.TemporaryDirectory(prefix="adaptmg-study-") if store is None else None
         #: it need not exist
-        self.path = store.with_name(f"{store.name}.files") if store is not None else Path(self._temporary.name)
+        self.path = Path(tempfile.mkdtemp(prefix="adaptmg-study-")) if store is None else \
+            store.with_name(f"{store.name}.files")
+        if store is None:
+            weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
     def write(self, study: str, key: str, packed: Mapping[str, Packed]) -> dict[str, str]:
         """Write the files of a run, each whole; return their paths in the folder by name of the result."""

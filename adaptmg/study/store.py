@@ -5,7 +5,7 @@ a half-written one does not exist. (Its write-ahead log does not work on the net
 processes may write to one store.
 
 Table ``runs`` has a row a run. ``origins`` has the parts of each fingerprint, so that a study can say why a row is
-stale. ``points`` has the points of :meth:`adaptmg.study.Study.add`.
+stale.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import os
 import sqlite3
 import threading
 import weakref
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
@@ -42,7 +42,6 @@ _TABLES = (
     "traceback TEXT NOT NULL, peak_memory INTEGER NOT NULL, started TEXT NOT NULL, machine TEXT NOT NULL, "
     "commit_id TEXT NOT NULL, tries INTEGER NOT NULL, files TEXT NOT NULL, PRIMARY KEY (study, parameters))",
     "CREATE TABLE origins (code TEXT PRIMARY KEY, parts TEXT NOT NULL)",
-    "CREATE TABLE points (study TEXT NOT NULL, parameters TEXT NOT NULL, PRIMARY KEY (study, parameters))",
     f"PRAGMA user_version = {_FORMAT}")
 _PUT = f"INSERT OR REPLACE INTO runs (study, {_NAMES}) VALUES ({', '.join('?' * (len(_COLUMNS) + 1))})"
 _CHOSEN = "WHERE study = ? AND (? IS NULL OR status = ?)"
@@ -161,25 +160,6 @@ class Store:
         if self._waiting:
             self.put_all("", ())
 
-    def add_points(self, study: str, keys: Iterable[str]) -> None:
-        """Remember points of a study, by :func:`~adaptmg.study.record.canonical` parameters."""
-        with self._explained(), self._connection as connection:
-            connection.executemany("INSERT OR IGNORE INTO points VALUES (?, ?)", [(study, key) for key in keys])
-
-    def take_in(self, path: str | os.PathLike[str]) -> int:
-        """Copy the runs of another store; of two runs at one point the later stays. Return how many were copied."""
-        other = Store(checks.file_path("store", Path(path).resolve(strict=True)))
-        with other._explained():
-            rows = other._connection.execute(f"SELECT study, {_NAMES} FROM runs").fetchall()
-            origins = other._connection.execute("SELECT code, parts FROM origins").fetchall()
-        finished = 1 + list(_COLUMNS).index("finished")
-        with self._explained(), self._connection as connection:
-            have = {row[:2]: row[2] for row in connection.execute("SELECT study, parameters, finished FROM runs")}
-            later = [row for row in rows if row[:2] not in have or have[row[:2]] < row[finished]]
-            connection.executemany(_PUT, later)
-            connection.executemany("INSERT OR IGNORE INTO origins VALUES (?, ?)", origins)
-        return len(later)
-
     # reading
 
     def get(self, study: str) -> dict[str, Record]:
@@ -220,10 +200,6 @@ class Store:
                 "AND instr(parameters, ? || '}') = 0 LIMIT 1"
         pieces = {name: canonical({name: value})[1:-1] for name, value in first.items()}
         return [name for name, piece in pieces.items() if self._select(other, study, piece, piece)]
-
-    def points(self, study: str) -> list[str]:
-        """Return the points that were added to a study, by canonical parameters, in the order of adding."""
-        return [key for (key,) in self._select("SELECT parameters FROM points WHERE study = ? ORDER BY rowid", study)]
 
     def origins(self) -> dict[str, dict[str, str]]:
         """Return the parts of the stored fingerprints, by the fingerprint."""

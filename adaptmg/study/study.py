@@ -19,7 +19,7 @@ import pandas as pd
 
 from adaptmg import _checks as checks
 from adaptmg._fingerprint import Fingerprint, environment, fingerprint
-from adaptmg.study.designs import Design, Given, as_design, extended, stored_design
+from adaptmg.study.designs import Design, Given, as_design, stored_design
 from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, commit, in_turn, now
 from adaptmg.study.kept_files import Folder
 from adaptmg.study.record import (
@@ -128,17 +128,6 @@ class Study:
     def points(self) -> list[Point]:
         """The parameters of every run, the fixed ones too, in the order of the design."""
         return [{**self.fixed, **point} for point in self.design.points()]
-
-    def add(self, design: Given) -> Study:
-        """Add points of the same parameters, and return this study.
-
-        The store remembers them: they are there when the study is opened without parameters. Points that are there
-        already are left out.
-        """
-        more = as_design("design", design)
-        self.design = extended(self.design, more)
-        self._store.add_points(self.name, (canonical({**self.fixed, **point}) for point in more.points()))
-        return self
 
     def run(self, progress: Progress = None, *, workers: int | None = None,
             scheduler: str | Client | Cluster | None = None, rerun: bool = False, retry_failed: bool = True,

@@ -124,7 +124,6 @@ def test_the_log_goes_to_standard_error_and_is_put_back_and_a_terminal_gets_a_ba
     assert "cycle 3, error 2.5e-04" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
 def test_ctrl_c_ends_with_130_and_one_line():
     # in a shell's background the signal comes ignored
     code = ("import os, signal, time\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"

@@ -109,7 +109,7 @@ def test_the_examples_can_be_run(command, file):
     assert code == 0 and "missing" in out, err
 
 
-def test_runs_are_listed_filtered_written_and_taken_in(command):
+def test_runs_are_listed_filtered_and_written(command):
     def run(n, law):
         if n == 3:
             raise ValueError("three & more")
@@ -120,14 +120,11 @@ def test_runs_are_listed_filtered_written_and_taken_in(command):
     assert code == 0 and "... 4 more" in out
     rows = json.loads(command("runs", "s.sqlite", "--status", "done", "--where", "law=b", "--details", "--json")[1])
     assert [(row["n"], row["m"], row["tries"]) for row in rows] == [(1, 0.5, 1), (2, 1.0, 1)]
-    assert command("runs", "s.sqlite", "--to", "t.csv")[0] == command("runs", "s.sqlite", "--to", "t.tex")[0] == 0
+    assert command("runs", "s.sqlite", "--to", "t.csv")[0] == 0
     assert pd.read_csv("t.csv")["m"].dropna().tolist() == [0.5, 0.5, 1.0, 1.0]
-    tex = Path("t.tex").read_text(encoding="utf-8")
-    assert r"a\_b" in tex and r"three \& more" in tex and tex.count(r"\\") == 7
-    for n, store in ((1, "s.sqlite"), (5, "other.sqlite")):
-        Study(lambda n: {"m": n}, {"n": [n]}, store, name="second").run(progress=False)
-    code, out, err = command("runs", "s.sqlite", "--study", "second", "--take-in", "other.sqlite")
-    assert code == 0 and "1 runs taken in" in err and "2 runs" in out
+    Study(lambda n: {"m": n}, {"n": [1, 5]}, "s.sqlite", name="second").run(progress=False)
+    code, out, _ = command("runs", "s.sqlite", "--study", "second")
+    assert code == 0 and "2 runs" in out
 
 
 def test_a_dry_run_says_what_there_is_and_leaves_nothing(command, tmp_path):
@@ -187,7 +184,6 @@ def test_a_limit_without_workers_is_refused_before_a_store_is_made(command):
     assert "not both" in command("study", written(SMALL), "--workers", "2", "--scheduler", "tcp://localhost:1")[2]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
 def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(command):
     written(SMALL.replace("[2, 4]", "[16, 32, 64]").replace("[0.2, 1.0]", str([k / 100 for k in range(1, 101)])))
     # in a shell's background the signal comes ignored

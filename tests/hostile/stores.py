@@ -171,12 +171,12 @@ _STUDIES = {
     "a nested result": "UPDATE runs SET results = '{\"a\": [1]}'",
     "seconds of text": "UPDATE runs SET seconds = 'long'", "a date that is a blob": "UPDATE runs SET finished = x'78'",
     "memory of text": "UPDATE runs SET peak_memory = 'x'", "junk files": "UPDATE runs SET files = '{\"a\": 1}'",
-    "a foreign database": "DROP TABLE runs; DROP TABLE points; CREATE TABLE mine (x); PRAGMA user_version = 0",
+    "a foreign database": "DROP TABLE runs; DROP TABLE origins; CREATE TABLE mine (x); PRAGMA user_version = 0",
     "numbers for JSON": "UPDATE runs SET versions = 3", "junk parameters": "UPDATE runs SET parameters = 'n=1'",
     "an error that is a blob": "UPDATE runs SET error = x'00ff'", "no table": "DROP TABLE runs",
     "deep JSON": f"UPDATE runs SET results = '{'[' * 10**5}'",
     "another table": "DROP TABLE runs; CREATE TABLE runs (id, name)",
-    "an endless view": "DROP TABLE points; CREATE VIEW points AS WITH RECURSIVE n(study, parameters) AS (SELECT 's', 1 "
+    "an endless view": "CREATE VIEW points AS WITH RECURSIVE n(study, parameters) AS (SELECT 's', 1 "
                        "UNION ALL SELECT study, parameters + 1 FROM n) SELECT * FROM n",
     "a trigger": "CREATE TRIGGER t AFTER INSERT ON runs BEGIN DELETE FROM runs; END",
     "a newer version": "PRAGMA user_version = 7"}

@@ -80,7 +80,6 @@ def test_threads_and_size_functions_that_mesh_have_a_process_each():
             np.testing.assert_array_equal(alone.points, other.points)
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_ctrl_c_and_kill_end_both_processes(how):
     # in a shell's background the signal comes ignored; the mesh takes minutes

@@ -39,7 +39,7 @@ def adapted(case: am.ContactProblem, size: float, nodes: int) -> list[am.Step]:
 
 PICTURES = {
     "problem 2D": lambda: plot.problem(am.cases.incline()),
-    "problem 3D": lambda: plot.problem(solids(), mesh=SOLID.mesh, explode=0.3),
+    "problem 3D": lambda: plot.problem(solids(), mesh=SOLID.mesh),
     "mesh 2D": lambda: plot.mesh(PLANE.mesh, contact=["upper.bottom"]),
     "mesh 3D": lambda: plot.mesh(SOLID.mesh, contact=["upper.bottom"]),
     "grids 2D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 3, 4, 5, 6))),

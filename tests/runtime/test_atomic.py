@@ -13,8 +13,6 @@ import pytest
 
 from adaptmg._files import waiting_folder, write_bytes
 
-POSIX = pytest.mark.skipif(os.name != "posix", reason="names of Unix")
-
 
 @pytest.fixture
 def mask():
@@ -31,7 +29,6 @@ def names(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir())
 
 
-@POSIX
 def test_a_new_file_has_the_permissions_of_the_umask_and_an_old_one_keeps_its_own(tmp_path, mask):
     write_bytes(tmp_path / "a", b"1")
     assert mode(tmp_path / "a") == 0o640
@@ -41,7 +38,6 @@ def test_a_new_file_has_the_permissions_of_the_umask_and_an_old_one_keeps_its_ow
     assert names(tmp_path) == ["a"]
 
 
-@POSIX
 def test_links_pipes_and_standard_output_are_written_through(tmp_path):
     (tmp_path / "there").mkdir()
     target, link, dangling = tmp_path / "there" / "file", tmp_path / "link", tmp_path / "dangling"
@@ -86,7 +82,6 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, f
     assert names(tmp_path) == [target.name] and target.read_bytes() == b"old"
 
 
-@POSIX
 def test_a_kill_leaves_whole_files_and_what_a_later_writer_removes(tmp_path):
     code = ("import sys\nfrom pathlib import Path\nfrom adaptmg._files import write_bytes\n"
             "sys.stdout.write('x'); sys.stdout.flush()\n"

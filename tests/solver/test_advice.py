@@ -37,6 +37,14 @@ BEYOND = {
     "stays at least .* they cannot meet": ({"above": 1e-3}, {"above": 5e-5})}
 
 
+def test_a_mesh_that_is_not_one_of_the_domain_is_named():
+    problem = am.cases.greco_bar()
+    mesh = am.mesh.structured(problem.domain, 4)
+    for points, wrong in ((mesh.points, False), (1e3 * mesh.points, True), (mesh.points + np.array([0.0, 0.02]), True)):
+        caught = warned(lambda points=points: am.Hierarchy.from_meshes(problem, replace(mesh, points=points)))
+        assert ["spans" in str(one.message) and one.filename == __file__ for one in caught] == [True] * wrong
+
+
 @pytest.mark.parametrize("message", BEYOND)
 def test_a_limit_of_the_theory_is_named_once_at_the_line_of_the_user(message):
     beyond, *within = BEYOND[message]

@@ -219,7 +219,6 @@ SCRIPT = """
 """
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
 def test_a_script_that_is_ended_keeps_what_is_done_and_leaves_nothing(tmp_path, kind):
     """A script without a guard for ``__main__``, whose runs cannot be interrupted."""

@@ -59,7 +59,6 @@ def test_a_sobol_sequence_is_extended_and_points_of_whole_numbers_are_run_once()
     (lambda: Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
     (lambda: Points([]), TypeError, "list of mappings"),
     (lambda: Repeated({"seed": [1]}, 2), ValueError, "must not be a parameter"),
-    (lambda: Study(run, {"n": [1]}).add({"law": ["a"]}), ValueError, "same parameters"),
     (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "must go up"),
     (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
     (lambda: Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite")])
@@ -68,15 +67,11 @@ def test_wrong_designs_are_refused_before_memory_is(make, error, match):
         make()
 
 
-def test_points_are_added_to_a_stored_design(tmp_path):
+def test_a_study_is_opened_by_its_store_and_fixed_parameters(tmp_path):
     path = tmp_path / "s.sqlite"
     Study(run, {"n": [1, 2]}, path, fixed={"law": "a"}).run(progress=False)
     Study(run, {"n": [7]}, path, fixed={"law": "b"}).run(progress=False)
     study = Study(run, store=path, fixed={"law": "a"})
     assert study.table()["n"].tolist() == [1, 2]
-    study.add({"n": [2, 3]})
-    assert study.table()["status"].tolist() == ["done", "done", "missing"]
-    again = Study(run, store=path, fixed={"law": "a"})
-    assert again.run(progress=False)["m"].tolist() == [1, 2, 3]
     with pytest.raises(ValueError, match="no points"):
         Study(run, store=path, name="other")

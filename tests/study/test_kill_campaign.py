@@ -1,6 +1,5 @@
 """A study that is killed with -9 and resumed has every run once, equal to the last bit to one that was not."""
 
-import sys
 
 import pytest
 
@@ -8,7 +7,6 @@ pytest.importorskip("psutil")
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
 def test_kills_of_main_process_worker_and_all():
     from killing import campaign
 

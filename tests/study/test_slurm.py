@@ -11,8 +11,6 @@ import pytest
 from adaptmg.study import Study
 
 pytest.importorskip("dask_jobqueue")
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="shell scripts")
-
 
 @pytest.fixture
 def jobs(tmp_path, monkeypatch):

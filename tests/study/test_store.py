@@ -1,5 +1,6 @@
 """The store: two processes that write, a file that changes while it is in use, results that are kept as files."""
 
+import gc
 import json
 import math
 import os
@@ -8,6 +9,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -125,16 +127,6 @@ def test_a_row_whose_writing_was_interrupted_is_written_in_the_end(tmp_path, mon
     assert [record.parameters["n"] for record in Store(tmp_path / "s.sqlite").get("squares").values()] == [0, 1, 2]
 
 
-@pytest.mark.parametrize("later", ["mine", "theirs"])
-def test_of_two_runs_at_a_point_the_later_stays(tmp_path, later):
-    for name in ("mine", "theirs"):
-        Store(tmp_path / name).put("s", Record(parameters={"n": 1}, status="done", results={"from": name},
-                                               finished="2026-01-02" if name == later else "2026-01-01"))
-    mine = Store(tmp_path / "mine")
-    assert mine.take_in(tmp_path / "theirs") == (later == "theirs")
-    assert [record.results["from"] for record in mine.get("s").values()] == [later]
-
-
 def test_texts_and_results_are_bounded_and_any_text_is_stored(tmp_path):
     def run(n):
         if n == 0:
@@ -151,6 +143,18 @@ def test_texts_and_results_are_bounded_and_any_text_is_stored(tmp_path):
     assert table["name"][1] == "\udcff.msh" and len(table["long"][1]) < 200
     assert study.load(1, "long") == "y" * 50_000
     assert bounded("abc", 100) == "abc"
+
+
+def test_files_of_a_study_in_memory_go_with_it():
+    study = Study(lambda n: {"array": np.arange(n)}, {"n": [3]})
+    study.run(progress=False)
+    folder = study._files.path
+    assert list(folder.rglob("array*.npy"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        del study
+        gc.collect()
+    assert not folder.exists() and not [one for one in caught if "adaptmg" in str(one.message)]
 
 
 @pytest.mark.parametrize("where", ["file", "memory"])
@@ -217,7 +221,6 @@ def test_kept_files_are_whole_and_the_same_each_time(tmp_path, monkeypatch):
     assert not [path for path in folder.path.rglob("*") if path.is_file()]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="symbolic links and pipes")
 @pytest.mark.parametrize("kind", ["..", "absolute", "link", "linked folder", "pipe"])
 def test_paths_in_a_row_from_elsewhere_are_neither_read_nor_removed(tmp_path, kind):
     secret, folder = tmp_path / "secret.txt", tmp_path / "s.sqlite.files"
@@ -236,7 +239,6 @@ def test_paths_in_a_row_from_elsewhere_are_neither_read_nor_removed(tmp_path, ki
     assert secret.exists() and (folder / "link.txt").is_symlink() and (folder / "pipe.txt").exists()
 
 
-@pytest.mark.skipif(os.name != "posix", reason="symbolic links")
 def test_a_link_to_a_store_is_followed(tmp_path):
     (tmp_path / "real").mkdir()
     (tmp_path / "link.sqlite").symlink_to(tmp_path / "real" / "s.sqlite")
