@@ -2,7 +2,7 @@
 
     python studies/estimators.py [--quick | --full] [--out DIR]
 
-Adaptive loops (residual indicator, default marking) on problems whose energy error is known: two Coulomb transitions with
+Adaptive loops (residual indicator, default marks) on problems whose energy error is known: two Coulomb transitions with
 closed forms, others against a bisected mesh with several times the nodes. Effectivity: estimate over true error, of the
 residual estimate, which drives the loop, and of the recovered one (Zienkiewicz and Zhu) on the same meshes. Signed
 estimates of goals are compared with the corrected value on a finer mesh.
