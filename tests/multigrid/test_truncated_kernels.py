@@ -274,7 +274,7 @@ def test_weights_of_past_iterates_are_those_of_least_squares():
     recombination, inverse = Recombination(2, 40, 4), np.tile(np.diag([0.5, 2.0]).reshape(-1), 20)
     recombination.residuals.vectors[:] = rng.normal(size=(5, 40))
     for done in range(8):
-        now, past = recombination.residuals.now, recombination.residuals.past[:min(done, 4)]
+        now, past = recombination.residuals.now, recombination.residuals.past[:min(2 * done, 4)]
         weight = np.sqrt(np.tile([0.5, 2.0], 20))
         columns = np.column_stack([weight * (r - now) for r in past] or [np.zeros(40)])
         expected = np.linalg.lstsq(columns, -weight * now)[0]
