@@ -96,11 +96,7 @@ def geometric_preconditioner(problem: Glued) -> Callable[[np.ndarray], np.ndarra
     cycle.factors.renew()
     top = len(levels) - 1
 
-    def precondition(r: np.ndarray) -> np.ndarray:
-        cycle.vectors(top).load[:] = r
-        return cycle.solve(top)
-
-    return precondition
+    return lambda r: cycle.solve(top, r)
 
 
 def iterate(problem: Glued, precondition: Callable[[np.ndarray], np.ndarray], iterations: int) -> None:

@@ -158,8 +158,7 @@ class AdjointSystem:
         cycle, n, finest = _cycle(hierarchy, self), len(self.trial), len(hierarchy) - 1
 
         def precondition(load: np.ndarray) -> np.ndarray:
-            cycle.vectors(finest).load[:] = load.reshape(-1)
-            return cycle.solve(finest).copy()
+            return cycle.solve(finest, load.reshape(-1)).copy()
 
         preconditioner = LinearOperator((n, n), matvec=precondition, dtype=np.float64)
         result = []

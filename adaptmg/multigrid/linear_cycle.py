@@ -1,4 +1,4 @@
-"""LinearCycle: a V-cycle on the (truncated) linear coarse problems, two symmetric sweeps and a residual a level.
+"""LinearCycle: a V-cycle on the (truncated) linear coarse problems, one or two symmetric sweeps a level.
 
 The coarsest ones are solved by LU factors. A user-defined :class:`LinearSolve` may replace these, and a user-defined
 :class:`LinearSmoother` the sweeps.
@@ -62,25 +62,30 @@ class LinearCycle:
             self._vectors[number] = LevelVectors(*(np.zeros(self.levels[number].n_dofs) for _ in range(3)))
         return self._vectors[number]
 
-    def solve(self, number: int) -> np.ndarray:
-        """One cycle from zero for the load of a level; returns its solution."""
+    def solve(self, number: int, load: np.ndarray, smooth: bool = True) -> np.ndarray:
+        """One cycle from zero for a load (n_dofs,) of a level; returns its solution. ``smooth`` False restricts the
+        load unchanged, as a load that comes from a smoothed residual may be; one symmetric sweep then comes after."""
         v = self.vectors(number)
         if number == 0:
-            passes = self.factors.solve(v.load, v.solution)
+            passes = self.factors.solve(load, v.solution)
             if passes:
                 self.recorder.count(passes, self.levels[0].nonzeros)
             self.recorder.visit(0, "solve")
             return v.solution
         level = self.levels[number]
-        passes = self._before(number, v)
-        self.recorder.visit(number, "smooth", self.sweeps[number])
-        below = self.vectors(number - 1)
-        self.restrict(number, v.kept, below.load)
-        self.add_prolonged(number, self.solve(number - 1), v.solution)
+        sweeps, passes, rest = self.sweeps[number] if smooth else 2, 0.0, load
+        if smooth:
+            passes, rest = self._before(number, load, v), v.kept
+            self.recorder.visit(number, "smooth", sweeps)
+        else:
+            v.solution[:] = 0.0
+        below = self.vectors(number - 1).load
+        self.restrict(number, rest, below)
+        self.add_prolonged(number, self.solve(number - 1, below), v.solution)
         zero_at(v.solution, level.fixed)
         self.recorder.visit(number, "prolong")
-        passes += self._after(number, v)
-        self.recorder.visit(number, "smooth", self.sweeps[number])
+        passes += self._after(number, load, v, sweeps)
+        self.recorder.visit(number, "smooth", sweeps)
         self.recorder.count(passes, level.nonzeros)
         return v.solution
 
@@ -106,15 +111,15 @@ class LinearCycle:
         self.recorder.visit(number, "restrict")
         return sum(squares)
 
-    def _before(self, number: int, v: LevelVectors) -> float:
+    def _before(self, number: int, load: np.ndarray, v: LevelVectors) -> float:
         """Smooth from zero; the residual is left in ``kept``. Returns the passes, those of the residual included."""
         level, sweeps = self.levels[number], self.sweeps[number]
         if self._custom:
             v.solution[:] = 0.0
-            passes = self._custom[number].smooth(v.load, v.solution)
-            v.kept[:] = v.load - self._custom[number].matrix @ v.solution
+            passes = self._custom[number].smooth(load, v.solution)
+            v.kept[:] = load - self._custom[number].matrix @ v.solution
             return passes + 1
-        level.sweep(half_sweeps.forward_from_zero, *level.lower_arrays, level.inverse, v.load, v.solution, v.kept)
+        level.sweep(half_sweeps.forward_from_zero, *level.lower_arrays, level.inverse, load, v.solution, v.kept)
         if sweeps == 1:
             level.sweep(half_sweeps.forward_residual, *level.upper_arrays, v.solution, v.kept)
         else:
@@ -124,15 +129,15 @@ class LinearCycle:
         # forward and residual: L, U; forward, backward, residual: L, U, L
         return 1 if sweeps == 1 else 1.5
 
-    def _after(self, number: int, v: LevelVectors) -> float:
-        level, sweeps = self.levels[number], self.sweeps[number]
+    def _after(self, number: int, load: np.ndarray, v: LevelVectors, sweeps: int) -> float:
+        level = self.levels[number]
         if self._custom:
-            return self._custom[number].smooth(v.load, v.solution)
+            return self._custom[number].smooth(load, v.solution)
         if sweeps == 1:
-            level.sweep(half_sweeps.backward_full, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load,
+            level.sweep(half_sweeps.backward_full, *level.lower_arrays, *level.upper_arrays, level.inverse, load,
                         v.solution, backward=True)
         else:
-            level.sweep(half_sweeps.forward_full, *level.lower_arrays, *level.upper_arrays, level.inverse, v.load,
+            level.sweep(half_sweeps.forward_full, *level.lower_arrays, *level.upper_arrays, level.inverse, load,
                         v.solution, v.kept)
             level.sweep(half_sweeps.backward_kept, *level.upper_arrays, level.inverse, v.solution, v.kept,
                         backward=True)

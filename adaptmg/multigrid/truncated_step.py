@@ -57,7 +57,7 @@ class TruncatedStep:
         self._transfer = cycle.transfer(number)
         self.motions, self._iterates = motions, Ring(len(unknowns), depth)
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
-        self._frozen = False
+        self._frozen = self._corrected = False
         self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
 
     def step(self, trusted: Callable[[np.ndarray], float]) -> StepState:
@@ -149,23 +149,25 @@ class TruncatedStep:
         return self.cycle.restrict(self.number, self.residual, self.recombination.residuals.now)
 
     def _recombine(self, places: np.ndarray) -> np.ndarray:
-        """Weights of the past iterates; the load of the next coarser level becomes that of the recombination."""
+        """Weights of the past iterates; makes the recombined residual."""
         alpha = self.recombination.fit(self.below.inverse)
         if alpha.any() and not self.contact.admits(self._iterates.flat, places, alpha):
             alpha[:] = 0.0
-        self.recombination.combine(alpha, self.cycle.vectors(self.number - 1).load)
+        self.recombination.combine(alpha)
         return alpha
 
     def _coarse_correction(self) -> tuple[np.ndarray, float]:
         """The recombined iterate plus the coarse correction (in place of the oldest), and the energy of that."""
-        ring = self._iterates
+        ring, load = self._iterates, self.recombination.residuals.combined
         places = ring.places(self.recombination.past)
         alpha = self._recombine(places)
-        correction = self.cycle.solve(self.number - 1)
-        energy = _product(self.cycle.vectors(self.number - 1).load, correction)
+        # past iterates make up for what a cheaper cycle leaves
+        correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
+        self._corrected = True
+        energy = _product(load, correction)
         n = self.level.n_dofs
         in_parts(combine, len(self._transfer[1]) - 1, 6 * n, *self._transfer, correction, ring.flat, places, alpha,
-                 ring.following)
+                 *ring.targets)
         proposed = ring.past[-1]
         zero_at(proposed, self.level.fixed)
         return proposed, energy
@@ -220,17 +222,22 @@ def _product(a: np.ndarray, b: np.ndarray) -> float:
 
 
 class Ring:
-    """The last vectors (n,) of a sequence in one array, where the oldest gives its place to the next."""
+    """The last vectors (n,) of a sequence in one array, newest first: the present one, then in turns a recombined one
+    and the one that it was made from. Two more take the places of the oldest.
+
+    With recombined vectors alone, few are as good as all of them where the problem is symmetric; the others keep what
+    Coulomb's law needs.
+    """
 
     #: past vectors at most
     MOST = 4
 
     def __init__(self, n: int, depth: int) -> None:
-        self._rows = max(depth, 1) + 1
+        self._rows = max(depth, 2) + 1
         self._take(np.zeros((self._rows, n)))
 
     def _take(self, vectors: np.ndarray) -> None:
-        self.vectors, self.flat, self._head = vectors, vectors.reshape(-1), 0
+        self.vectors, self.flat, self._order = vectors, vectors.reshape(-1), list(range(len(vectors)))
 
     def forget(self) -> None:
         """Free all vectors but the present one, until :meth:`complete`."""
@@ -244,25 +251,31 @@ class Ring:
 
     @property
     def now(self) -> np.ndarray:
-        return self.vectors[self._head]
+        return self.vectors[self._order[0]]
 
     @property
     def past(self) -> list[np.ndarray]:
-        """Newest first."""
-        return [self.vectors[self._head - k] for k in range(1, len(self.vectors))]
+        return [self.vectors[k] for k in self._order[1:]]
+
+    @property
+    def combined(self) -> np.ndarray:
+        """Where the present vector, recombined, goes."""
+        return self.vectors[self._order[-2]]
 
     def places(self, past: int) -> np.ndarray:
         """Where in ``flat`` the present vector begins and the MOST before it; beyond ``past`` the present one."""
-        rows = [(self._head - (k if k <= past else 0)) % len(self.vectors) for k in range(self.MOST + 1)]
+        rows = [self._order[k if k <= past else 0] for k in range(self.MOST + 1)]
         return np.array(rows, dtype=np.int64) * self.vectors.shape[1]
 
-    def advance(self) -> None:
-        self._head = (self._head + 1) % len(self.vectors)
-
     @property
-    def following(self) -> int:
-        """The place of the next vector, which is that of the oldest."""
-        return (self._head + 1) % len(self.vectors) * self.vectors.shape[1]
+    def targets(self) -> tuple[int, int]:
+        """The places of :attr:`combined` and of the next vector."""
+        n = self.vectors.shape[1]
+        return self._order[-2] * n, self._order[-1] * n
+
+    def advance(self) -> None:
+        *kept, combined, following = self._order
+        self._order = [following, combined, *kept]
 
 
 class Recombination:
@@ -295,13 +308,13 @@ class Recombination:
             _fit(np.asarray(sums), self._matrix, self._alpha)
         return self._alpha
 
-    def combine(self, alpha: np.ndarray, result: np.ndarray) -> None:
-        ring, n = self.residuals, len(result)
-        in_parts(_combined, n, 6 * n, ring.flat, ring.places(self.past), alpha, result)
+    def combine(self, alpha: np.ndarray) -> None:
+        ring, n = self.residuals, len(self.residuals.now)
+        in_parts(_combined, n, 6 * n, ring.flat, ring.places(self.past), alpha, ring.combined)
 
     def advance(self) -> None:
         self.residuals.advance()
-        self._past += 1
+        self._past += 2
 
 
 #: the normal equations count as singular below this pivot, relative to the diagonal

@@ -204,11 +204,13 @@ class Truncated:
     Parameters
     ----------
     recombine : int
-        Past iterates recombined with the present one, 0 to 4.
+        Past iterates recombined with the present one, 0 to 4, in turns recombined ones and those that they were made
+        from.
     coarse_sweeps : int, optional
         Smoothing before and after the coarse correction on the coarser levels, 1 or 2; there is one symmetric sweep on
-        the finest. Default: 1 on levels whose matrix has more than 1.25 times the entries a row of the finest one
-        (Galerkin products of independent meshes), 2 on the others.
+        the finest, and after the first cycle one on the next coarser level, after its correction alone. Default: 1 on
+        levels whose matrix has more than 1.25 times the entries a row of the finest one (Galerkin products of
+        independent meshes), 2 on the others.
     interface_sweeps : int
         Where bodies touch each other: sweeps over the nodes within two elements of the interface after each smoothing
         of the finest level, backward and forward in turn. Where a joint is soft they bring the rate from .6 or .7 to

@@ -231,12 +231,13 @@ def test_transfers(dim):
     ring.vectors[:] = rng.normal(size=(5, 12 * dim))
     for _ in range(7):
         u, places = ring.now.copy(), ring.places(3)
-        expected = u + Q @ coarse + sum(a * (v - u) for a, v in zip(alpha[:3], ring.past, strict=False))
+        combined = u + sum(a * (v - u) for a, v in zip(alpha[:3], ring.past, strict=False))
         kernels.combine(0, 12, ZERO[dim], P.indptr, P.indices, P.data, coarse, ring.flat, places, alpha,
-                        ring.following)
+                        *ring.targets)
         ring.advance()
-        np.testing.assert_allclose(ring.now, expected)
-        np.testing.assert_array_equal(ring.past[0], u)
+        np.testing.assert_allclose(ring.now, combined + Q @ coarse)
+        np.testing.assert_allclose(ring.past[0], combined)
+        np.testing.assert_array_equal(ring.past[1], u)
     expected = u + Q @ coarse
     kernels.add_prolonged(0, 12, ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
     np.testing.assert_allclose(u, expected)
@@ -273,7 +274,7 @@ def test_weights_of_past_iterates_are_those_of_least_squares():
     recombination, inverse = Recombination(2, 40, 4), np.tile(np.diag([0.5, 2.0]).reshape(-1), 20)
     recombination.residuals.vectors[:] = rng.normal(size=(5, 40))
     for done in range(8):
-        now, past = recombination.residuals.now, recombination.residuals.past[:min(done, 4)]
+        now, past = recombination.residuals.now, recombination.residuals.past[:min(2 * done, 4)]
         weight = np.sqrt(np.tile([0.5, 2.0], 20))
         columns = np.column_stack([weight * (r - now) for r in past] or [np.zeros(40)])
         expected = np.linalg.lstsq(columns, -weight * now)[0]
