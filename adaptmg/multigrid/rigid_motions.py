@@ -238,13 +238,15 @@ class RigidMotions:
     @classmethod
     def of(cls, problem: DiscreteProblem, contact: TruncatedContact, load: np.ndarray) -> RigidMotions | None:
         """The free motions of a problem, None if it has none or its near_nullspace is unknown."""
-        modes, dim = problem.near_nullspace, problem.dim
+        dim, fixed = problem.dim, problem.fixed.reshape(-1, problem.dim)
+        held = np.flatnonzero(fixed.any(axis=1))
+        modes = problem.near_nullspace_at(np.concatenate([held, contact.nodes]))
         if modes is None or not len(contact.nodes):
             return None
-        coefficients = null_combinations(modes[problem.fixed])
+        coefficients = null_combinations(modes[:len(held)][fixed[held]])
         if not coefficients.shape[1]:
             return None
-        cartesian = modes.reshape(-1, dim, modes.shape[1])[contact.nodes] @ coefficients
+        cartesian = modes[len(held):] @ coefficients
         return cls(problem, contact, load, coefficients,
                    np.einsum("nij,njk->nik", contact.frames.reshape(-1, dim, dim), cartesian))
 
