@@ -16,6 +16,7 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg import level as meshed_levels
+from adaptmg._runtime import OnDemand
 from adaptmg.mesh import check_mesh, structured
 
 BAR, JOINT = am.cases.greco_bar(), am.cases.dovetail()
@@ -151,6 +152,9 @@ def test_nothing_is_made_that_nobody_asked_for(monkeypatch):
             asked()
     monkeypatch.undo()
     assert mesh.source is mesh.source and mesh.source.nv == 81 and grids[1].mesh_ratio == pytest.approx(2)
+    rows = discrete.near_nullspace_at(np.array([7, 0, 80]))
+    assert am.solve(grids, am.FullMultigrid()).status.ok and isinstance(discrete.__dict__["near_nullspace"], OnDemand)
+    np.testing.assert_array_equal(rows, discrete.near_nullspace.reshape(81, 2, 3)[[7, 0, 80]])
     assert discrete.near_nullspace is discrete.near_nullspace and discrete.near_nullspace.shape == (162, 3)
     back = pickle.loads(pickle.dumps(am.Hierarchy.uniform(BAR, divisions=(2, 4, 8))))
     np.testing.assert_array_equal(back.finest.discrete.near_nullspace, discrete.near_nullspace)

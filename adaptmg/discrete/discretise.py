@@ -138,8 +138,9 @@ def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
     return old.posing(**parts)
 
 
-def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) -> np.ndarray:
-    motions = rigid_motions(mesh, axisymmetric)
+def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem, at: np.ndarray | None = None
+             ) -> np.ndarray:
+    motions = rigid_motions(mesh, axisymmetric, at)
     motions.flags.writeable = False
     return motions
 

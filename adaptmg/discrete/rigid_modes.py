@@ -14,26 +14,26 @@ from adaptmg._runtime import one_blas_thread
 from adaptmg.mesh.arrays import MeshArrays
 
 
-def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
+def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False, at: np.ndarray | None = None) -> np.ndarray:
     """Orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an uncoupled problem.
 
     Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry (x = r, y = z), zero outside the body, in the order of
-    ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count as one.
+    ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count as one. ``at``: the rows of these
+    nodes.
     """
     columns = []
     for nodes in _nodes_of_pieces(mesh):
         if axisymmetric:
             modes = np.zeros((len(nodes), 2, 1))
             modes[:, 1] = 1 / np.sqrt(len(nodes))
+        elif len(nodes) == mesh.n_nodes:
+            return rigid_body_modes(mesh.points, at)
         else:
-            points = mesh.points if len(nodes) == mesh.n_nodes else mesh.points[nodes]
-            modes = rigid_body_modes(points).reshape(len(nodes), mesh.dim, -1)
-        if len(nodes) == mesh.n_nodes:
-            return modes.reshape(mesh.points.size, -1)
+            modes = rigid_body_modes(mesh.points[nodes]).reshape(len(nodes), mesh.dim, -1)
         column = np.zeros((mesh.n_nodes, mesh.dim, modes.shape[2]))
         column[nodes] = modes
         columns.append(column.reshape(mesh.points.size, -1))
-    return np.hstack(columns)
+    return _rows(np.hstack(columns), mesh.dim, at)
 
 
 def _nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
@@ -49,20 +49,26 @@ def _nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
     return [np.flatnonzero(labels[n_bodies:] == piece) for piece in pieces]
 
 
+def _rows(modes: np.ndarray, dim: int, at: np.ndarray | None) -> np.ndarray:
+    return modes if at is None else modes.reshape(-1, dim, modes.shape[1])[at].reshape(-1, modes.shape[1])
+
+
 @one_blas_thread()
-def rigid_body_modes(points: np.ndarray) -> np.ndarray:
-    """Rigid-body modes about the centroid, orthonormal."""
+def rigid_body_modes(points: np.ndarray, at: np.ndarray | None = None) -> np.ndarray:
+    """Rigid-body modes about the centroid, orthonormal; the rows of the points ``at``."""
     n, dim = points.shape
     # by coordinate, each in one piece: several times faster than point by point
     x = np.ascontiguousarray(points.T)
     x = x - x.mean(axis=1, keepdims=True)
     planes = ((0, 1),) if dim == 2 else ((0, 1), (1, 2), (2, 0))
-    modes = np.full((n, dim, dim + len(planes)), 0.0)
     # about the centroid rotations are orthogonal to translations: only their Gram matrix is inverted
     triangle = _triangle(x @ x.T, planes)
     plain = triangle is None  # points on a line: by reflections
     if plain:
         triangle = np.eye(len(planes))
+    elif at is not None:
+        x = x[:, at]
+    modes = np.zeros((x.shape[1], dim, dim + len(planes)))
     for k in range(dim):
         modes[:, k, k] = 1.0 if plain else 1 / np.sqrt(n)
     for k in range(len(planes)):
@@ -70,8 +76,8 @@ def rigid_body_modes(points: np.ndarray) -> np.ndarray:
             if share != 0.0:
                 modes[:, a, dim + k] -= share * x[b]
                 modes[:, b, dim + k] += share * x[a]
-    modes = modes.reshape(n * dim, -1)
-    return np.linalg.qr(modes)[0] if plain else modes
+    modes = modes.reshape(-1, modes.shape[2])
+    return _rows(np.linalg.qr(modes)[0], dim, at) if plain else modes
 
 
 def _triangle(moments: np.ndarray, planes: tuple[tuple[int, int], ...]) -> np.ndarray | None:

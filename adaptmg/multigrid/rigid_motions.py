@@ -250,11 +250,25 @@ class RigidMotions:
     @classmethod
     def of(cls, problem: DiscreteProblem, contact: TruncatedContact, load: np.ndarray) -> RigidMotions | None:
         """The free motions of a problem, None if it has none or its near_nullspace is unknown."""
+<<<<<<< HEAD
         coefficients, cartesian = _free_motions(problem)
         if not coefficients.shape[1]:
             return None
         return cls(problem, contact, load, coefficients, np.einsum(
             "nij,njk->nik", contact.frames.reshape(-1, problem.dim, problem.dim), cartesian))
+=======
+        dim, fixed = problem.dim, problem.fixed.reshape(-1, problem.dim)
+        held = np.flatnonzero(fixed.any(axis=1))
+        modes = problem.near_nullspace_at(np.concatenate([held, contact.nodes]))
+        if modes is None or not len(contact.nodes):
+            return None
+        coefficients = null_combinations(modes[:len(held)][fixed[held]])
+        if not coefficients.shape[1]:
+            return None
+        cartesian = modes[len(held):] @ coefficients
+        return cls(problem, contact, load, coefficients,
+                   np.einsum("nij,njk->nik", contact.frames.reshape(-1, dim, dim), cartesian))
+>>>>>>> threads
 
     def settle(self, unknowns: np.ndarray, past: list[np.ndarray], residual: np.ndarray) -> int:
         """Move to the least energy, in place; returns the number of steps."""
