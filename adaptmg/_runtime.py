@@ -385,12 +385,6 @@ def made_on_demand(name: str, doc: str, absent: str = "") -> property:
     return property(value, lambda owner, given: owner.__dict__.__setitem__(name, given), doc=doc)
 
 
-def made(name: str, owner: object) -> Any:
-    """The value of a field that is made on demand, which is not kept where it was not asked for before."""
-    held = owner.__dict__[name]
-    return held.make(owner) if isinstance(held, OnDemand) else held
-
-
 class Token:
     """Stands for what an object and its copies have in common."""
 

@@ -286,8 +286,12 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     nodes = guessed_nodes(domain, max_size, {}, grading)
     if domain.dim == 2 and mesher == "bisection":
         refuse_too_many(nodes, domain)
-        if (mesh := _plane(domain, wanted, grading)) is not None:
-            return mesh
+        # a look at the field shows whether it asks for too much
+        look = max(max_size, float((domain.upper - domain.lower).max()) / 16)
+        if (coarse := _plane(domain, lambda x: np.full(len(x), look))) is not None:
+            refuse_too_many(expected_nodes(coarse, too_large(coarse, wanted)[1]), domain)
+            if (mesh := _plane(domain, wanted, grading)) is not None:
+                return mesh
 
     # Netgen alone sees a field that is cut off at the ratio it can take
     def limited(factor: float, ratio: float, coarser: float = 1) -> SizeField:

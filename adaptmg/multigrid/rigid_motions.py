@@ -22,7 +22,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from adaptmg._runtime import made
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 
@@ -224,12 +223,13 @@ class _Line:
 @remembered_of_structure
 def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (k, m) of the motions that supports leave free, and those (n_contact, dim, m) of contact nodes."""
-    # the modes of all nodes are mostly of no other use: three (3D: six) vectors that are not kept
-    modes, nodes = made("near_nullspace", problem), problem.contact.nodes
+    nodes, fixed = problem.contact.nodes, problem.fixed.reshape(-1, problem.dim)
+    held = np.flatnonzero(fixed.any(axis=1))
+    modes = problem.near_nullspace_at(np.concatenate([held, nodes]))
     if modes is None or not len(nodes):
         return np.empty((0, 0)), np.empty((len(nodes), problem.dim, 0))
-    coefficients = null_combinations(modes[problem.fixed])
-    return coefficients, modes.reshape(-1, problem.dim, modes.shape[1])[nodes] @ coefficients
+    coefficients = null_combinations(modes[:len(held)][fixed[held]])
+    return coefficients, modes[len(held):] @ coefficients
 
 
 @dataclass(eq=False)
@@ -250,25 +250,11 @@ class RigidMotions:
     @classmethod
     def of(cls, problem: DiscreteProblem, contact: TruncatedContact, load: np.ndarray) -> RigidMotions | None:
         """The free motions of a problem, None if it has none or its near_nullspace is unknown."""
-<<<<<<< HEAD
         coefficients, cartesian = _free_motions(problem)
         if not coefficients.shape[1]:
             return None
         return cls(problem, contact, load, coefficients, np.einsum(
             "nij,njk->nik", contact.frames.reshape(-1, problem.dim, problem.dim), cartesian))
-=======
-        dim, fixed = problem.dim, problem.fixed.reshape(-1, problem.dim)
-        held = np.flatnonzero(fixed.any(axis=1))
-        modes = problem.near_nullspace_at(np.concatenate([held, contact.nodes]))
-        if modes is None or not len(contact.nodes):
-            return None
-        coefficients = null_combinations(modes[:len(held)][fixed[held]])
-        if not coefficients.shape[1]:
-            return None
-        cartesian = modes[len(held):] @ coefficients
-        return cls(problem, contact, load, coefficients,
-                   np.einsum("nij,njk->nik", contact.frames.reshape(-1, dim, dim), cartesian))
->>>>>>> threads
 
     def settle(self, unknowns: np.ndarray, past: list[np.ndarray], residual: np.ndarray) -> int:
         """Move to the least energy, in place; returns the number of steps."""
