@@ -58,7 +58,7 @@ class TruncatedStep:
         self._transfer = ZERO[self.level.n_dofs // nodal.shape[0]], nodal.indptr, nodal.indices, nodal.data
         self.motions, self._iterates = motions, Ring(len(unknowns), depth)
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
-        self._frozen = self._corrected = False
+        self._frozen = False
         self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
 
     def step(self, trusted: Callable[[np.ndarray], float]) -> StepState:
@@ -114,6 +114,7 @@ class TruncatedStep:
     @unknowns.setter
     def unknowns(self, values: np.ndarray) -> None:
         self._iterates.now[:] = values
+        self._corrected = False
 
     @property
     def smoothed(self) -> np.ndarray:
