@@ -57,7 +57,7 @@ class TruncatedStep:
         self._transfer = cycle.transfer(number)
         self.motions, self._iterates = motions, Ring(len(unknowns), depth)
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
-        self._frozen = self._corrected = False
+        self._frozen = False
         self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
 
     def step(self, trusted: Callable[[np.ndarray], float]) -> StepState:
@@ -121,6 +121,7 @@ class TruncatedStep:
     @unknowns.setter
     def unknowns(self, values: np.ndarray) -> None:
         self._iterates.now[:] = values
+        self._corrected = False
 
     @property
     def smoothed(self) -> np.ndarray:
