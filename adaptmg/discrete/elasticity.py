@@ -10,9 +10,8 @@ There :math:`\int r` and :math:`\int \varphi_a` are exact, :math:`\int \varphi_a
 interior points and positive weights: any rule that is exact for degree 1 gives the other integrals too, so that the sum
 is one quadrature of the energy, hence positive semidefinite, and constant strains (:math:`u_r = c r`) are exact.
 
-Rows are written one by one, from the elements of their node in ascending order: the blocks (a, b) and (b, a) sum the
-same products in the same order, so that the matrix is bitwise symmetric, and the same in every run on any number of
-threads. In three dimensions the lower half is copied from the upper one.
+Both blocks (a, b) and (b, a) come from one computation and are added in the order of the elements: the matrix is
+bitwise symmetric, and the same in every run.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._runtime import inner_kernel, kernel
-from adaptmg._threads import in_parts
+from adaptmg._threads import in_colours, in_parts, scattering
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.materials import Axisymmetric, Elastic
@@ -93,24 +92,22 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     if not mesh.sound:
         _check_numbers(mesh)
     dim = mesh.dim
-    start, listed = elements_of_nodes(mesh.elements, mesh.n_nodes)
-    if not (start[1:] > start[:-1]).all():
-        raise ValueError(f"node {np.argmin(start[1:] > start[:-1])} belongs to no element; remove unused nodes")
-    rows = mesh.n_nodes, dim * dim * listed.size, mesh.elements, start, listed
-    indptr = np.zeros(mesh.n_nodes + 1, dtype=np.int64)
-    in_parts(count_columns, *rows, indptr)
-    np.cumsum(indptr, out=indptr)
-    # not np.zeros: its pages are mapped one by one while they are written, several times slower
-    indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(dim * dim * indptr[-1])
-    rows = *rows, indptr, indices, data, mesh.points, mesh.element_body, *lame_constants(materials)
+    indptr, indices, *of_nodes = _pattern(mesh.elements, mesh.n_nodes)
+    if not (indptr[1:] > indptr[:-1]).all():
+        raise ValueError(f"node {np.argmin(indptr[1:] > indptr[:-1])} belongs to no element; remove unused nodes")
+    data = np.empty((len(indices), dim, dim))
+    arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
     if dim == 3:
-        bad = max(in_parts(add_solid, *rows))
+        bad = max(in_parts(add_solid, mesh.n_nodes, data.size, *arguments, *of_nodes, indptr, indices, data))
         in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
     else:
-        rule = np.empty((0, 3)), np.empty(0)
+        # not np.zeros: its pages are mapped one by one while they are written, several times slower
+        in_parts(_clear, len(data), data.size, data)
         if is_axisymmetric(materials):
-            rule = quadrature_rule(3, AXISYMMETRIC_DEGREE)
-        bad = max(in_parts(add_plane, *rows, *rule))
+            bad = add_axisymmetric(*arguments, *quadrature_rule(3, AXISYMMETRIC_DEGREE), indptr, indices, data)
+        else:
+            ranges = scattering(mesh.elements, size=data.size)
+            bad = max(in_colours(ranges, add_plane, *arguments, indptr, indices, data))
     if bad >= 0:
         raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
                          "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
@@ -119,16 +116,20 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     for array in (indices, indptr):
         array.flags.writeable = False
     n_dofs = dim * mesh.n_nodes
-    matrix = sparse.bsr_array((data.reshape(-1, dim, dim), indices, indptr), shape=(n_dofs, n_dofs), copy=False)
+    matrix = sparse.bsr_array((data, indices, indptr), shape=(n_dofs, n_dofs), copy=False)
     matrix.has_sorted_indices = True
     return matrix
 
 
-def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Elements of each node, ascending, in compressed rows: of node i ``listed[start[i]:start[i + 1]]``."""
+def _pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Row pointers and sorted columns of the nodal matrix; pointers to the elements of each node, and these."""
     start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
-    list_elements(elements, start, listed)
-    return start, listed
+    marker, indptr = np.full(n_nodes, -1, dtype=np.int32), np.empty(n_nodes + 1, dtype=np.int64)
+    count_neighbours(elements, start, listed, marker, indptr)
+    indices = np.empty(indptr[-1], dtype=np.int32)
+    marker[:] = -1
+    fill_neighbours(elements, start, listed, marker, indptr[:-1].copy(), indices)
+    return indptr, indices, start, listed
 
 
 def _check_numbers(mesh: MeshArrays) -> None:
@@ -141,6 +142,10 @@ def _check_numbers(mesh: MeshArrays) -> None:
     if mesh.elements.shape[1] != mesh.dim + 1 or len(mesh.element_body) != len(mesh.elements):
         raise ValueError(f"a {mesh.dim}D mesh needs elements (n, {mesh.dim + 1}) and element_body (n,), got "
                          f"{mesh.elements.shape} and {mesh.element_body.shape}")
+
+
+def _clear(first: int, last: int, data: np.ndarray) -> None:
+    data[first:last] = 0.0
 
 
 @kernel
@@ -162,47 +167,52 @@ def list_elements(elements, start, listed):
 
 
 @kernel
-def count_columns(first, last, elements, start, listed, indptr):
-    """Number of columns of rows of the pattern, one place further: nodes that share an element, each with itself."""
-    marker = np.full(len(start) - 1, -1, dtype=np.int32)
-    for i in range(first, last):
+def count_neighbours(elements, start, listed, marker, indptr):
+    """Row pointers of the pattern: nodes that share an element, each node with itself. ``start`` (n_nodes + 1,) comes
+    as 0; ``listed`` (elements.size,) and it are filled for the next kernel. ``marker`` (n_nodes,) comes as -1."""
+    list_elements(elements, start, listed)
+    indptr[0] = 0
+    for i in range(len(start) - 1):
+        count = 0
         for at in range(start[i], start[i + 1]):
             for v in elements[listed[at]]:
                 if marker[v] != i:
                     marker[v] = i
-                    indptr[i + 1] += 1
+                    count += 1
+        indptr[i + 1] = indptr[i] + count
+
+
+@kernel
+def fill_neighbours(elements, start, listed, marker, end, indices):
+    """Columns of the pattern, ascending. ``end`` (n_nodes,) comes as ``indptr[:-1]``, ``marker`` as -1. The pattern is
+    symmetric: when rows are run through in order and i is written into the rows of its neighbours, every row is
+    sorted."""
+    for i in range(len(start) - 1):
+        for at in range(start[i], start[i + 1]):
+            for v in elements[listed[at]]:
+                if marker[v] != i:
+                    marker[v] = i
+                    indices[end[v]] = i
+                    end[v] += 1
 
 
 @inner_kernel
-def _fill_columns(i, elements, start, listed, indptr, indices, slot):
-    """Write the columns of row i, ascending, and to ``slot`` their places; it comes with those of rows before or -1."""
-    first = end = indptr[i]
-    for at in range(start[i], start[i + 1]):
-        for v in elements[listed[at]]:
-            if slot[v] < first:
-                slot[v], to = first, end
-                while to > first and indices[to - 1] > v:
-                    indices[to] = indices[to - 1]
-                    to -= 1
-                indices[to] = v
-                end += 1
-    for at in range(first, end):
-        slot[indices[at]] = at
-
-
-@inner_kernel
-def plane_cofactors(points, corners):
-    """The determinant of a triangle, twice its area, and times this the gradients of its three shape functions."""
+def plane_gradients(points, corners, g):
+    """Write the gradients (3, 2) of the shape functions; returns the area, and nothing if that is not positive."""
     a, b, c = corners[0], corners[1], corners[2]
-    ax, ay = points[b, 1] - points[c, 1], points[c, 0] - points[b, 0]
-    bx, by = points[c, 1] - points[a, 1], points[a, 0] - points[c, 0]
-    cx, cy = points[a, 1] - points[b, 1], points[b, 0] - points[a, 0]
-    return bx * cy - cx * by, ax, ay, bx, by, cx, cy
+    x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+    x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+    det = x1 * y2 - y1 * x2
+    if det > 0.0:
+        g[1, 0], g[1, 1] = y2 / det, -x2 / det
+        g[2, 0], g[2, 1] = -y1 / det, x1 / det
+        g[0, 0], g[0, 1] = -(g[1, 0] + g[2, 0]), -(g[1, 1] + g[2, 1])
+    return det / 2.0
 
 
 @inner_kernel
-def solid_cofactors(points, corners, g):
-    """Write the gradients (4, 3) of the shape functions times the determinant, six times the volume: returned."""
+def solid_gradients(points, corners, g):
+    """Write the gradients (4, 3) of the shape functions; returns the volume, and nothing if that is not positive."""
     a, b, c, d = corners[0], corners[1], corners[2], corners[3]
     x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     x2, y2, z2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
@@ -210,116 +220,92 @@ def solid_cofactors(points, corners, g):
     g[1, 0], g[1, 1], g[1, 2] = y2 * z3 - z2 * y3, z2 * x3 - x2 * z3, x2 * y3 - y2 * x3
     g[2, 0], g[2, 1], g[2, 2] = y3 * z1 - z3 * y1, z3 * x1 - x3 * z1, x3 * y1 - y3 * x1
     g[3, 0], g[3, 1], g[3, 2] = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
-    for c in range(3):
-        g[0, c] = -(g[1, c] + g[2, c] + g[3, c])
-    return x1 * g[1, 0] + y1 * g[1, 1] + z1 * g[1, 2]
+    det = x1 * g[1, 0] + y1 * g[1, 1] + z1 * g[1, 2]
+    if det > 0.0:
+        for j in range(3):
+            g[1, j] /= det
+            g[2, j] /= det
+            g[3, j] /= det
+            g[0, j] = -(g[1, j] + g[2, j] + g[3, j])
+    return det / 6.0
+
+
+@inner_kernel
+def _position(indptr, indices, a, b):
+    """Where the block (a, b), which is there, is stored."""
+    at = indptr[a]
+    while indices[at] != b:
+        at += 1
+    return at
+
+
+@inner_kernel
+def _add_plane_block(a, b, xx, xy, yx, yy, indptr, indices, data):
+    """Add the block of nodes a, b, and off the diagonal its transpose at (b, a)."""
+    at = _position(indptr, indices, a, b)
+    data[at, 0, 0] += xx
+    data[at, 0, 1] += xy
+    data[at, 1, 0] += yx
+    data[at, 1, 1] += yy
+    if a != b:
+        at = _position(indptr, indices, b, a)
+        data[at, 0, 0] += xx
+        data[at, 0, 1] += yx
+        data[at, 1, 0] += xy
+        data[at, 1, 1] += yy
 
 
 @kernel
-def add_plane(first, last, elements, start, listed, indptr, indices, data, points, body, lame, shear, rule, weights):
-    """Write rows of plane elasticity, pattern and blocks; ``lame`` and ``shear`` are those of the bodies, ``listed``
-    the elements of each node. In axisymmetry, x = r and y = z, over the full circumference: ``rule`` (n, 3) and
-    ``weights`` (n,), of sum 1, are the barycentric points and weights of int . / r. Returns a bad element, or -1."""
-    slot, hoop, third = np.full(len(start) - 1, -1, dtype=np.int32), np.zeros(3), 0.0
-    for i in range(first, last):
-        _fill_columns(i, elements, start, listed, indptr, indices, slot)
-        for at in range(4 * indptr[i], 4 * indptr[i + 1]):
-            data[at] = 0.0
-        xx, xy, yy = 0.0, 0.0, 0.0
-        for k in range(start[i], start[i + 1]):
-            e = listed[k]
-            a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
-            det, ax, ay, bx, by, cx, cy = plane_cofactors(points, elements[e])
-            if not det > 0.0:
-                return e
-            half = 0.5 / det
-            one, mu = half * lame[body[e]], half * shear[body[e]]
-            if len(weights):
-                one, mu = 2.0 * np.pi * one, 2.0 * np.pi * mu
-                r = _hoop(points, elements[e], i, det * det * (one + 2.0 * mu), rule, weights, hoop)
-                third, one, mu = det * one / 3.0, r * one, r * mu
-            both = one + 2.0 * mu
-            if b == i:
-                a, b, ax, ay, bx, by = b, a, bx, by, ax, ay
-            elif c == i:
-                a, c, ax, ay, cx, cy = c, a, cx, cy, ax, ay
-            xx += both * (ax * ax) + mu * (ay * ay) + (third * (ax + ax) + hoop[0])
-            xy += one * (ax * ay) + mu * (ay * ax) + third * ay
-            yy += both * (ay * ay) + mu * (ax * ax)
-            _add_plane_block(4 * np.int64(slot[b]), ax, ay, bx, by, one, mu, both, third, hoop[1], data)
-            _add_plane_block(4 * np.int64(slot[c]), ax, ay, cx, cy, one, mu, both, third, hoop[2], data)
-        at = 4 * np.int64(slot[i])
-        data[at], data[at + 1], data[at + 2], data[at + 3] = xx, xy, xy, yy
+def add_plane(first, last, points, elements, body, lame, shear, indptr, indices, data):
+    """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies."""
+    g = np.empty((3, 2))
+    for e in range(first, last):
+        area = plane_gradients(points, elements[e], g)
+        if not area > 0.0:
+            return e
+        one, mu = area * lame[body[e]], area * shear[body[e]]
+        both = one + 2.0 * mu
+        for a in range(3):
+            for b in range(a, 3):
+                xx, yy, xy, yx = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
+                _add_plane_block(elements[e, a], elements[e, b], both * xx + mu * yy, one * xy + mu * yx,
+                                 one * yx + mu * xy, both * yy + mu * xx, indptr, indices, data)
     return -1
 
 
-@inner_kernel
-def _add_plane_block(at, x, y, u, v, one, mu, both, third, hoop, data):
-    data[at] += both * (x * u) + mu * (y * v) + (third * (x + u) + hoop)
-    data[at + 1] += one * (x * v) + mu * (y * u) + third * v
-    data[at + 2] += one * (y * u) + mu * (x * v) + third * y
-    data[at + 3] += both * (y * v) + mu * (x * u)
-
-
-@inner_kernel
-def _hoop(points, corners, i, factor, rule, weights, hoop):
-    """Write ``factor`` times the means of phi_i phi_k / r, k = i and the others in their order but that the first takes
-    the place of i; returns the mean of r."""
-    r0, r1, r2 = points[corners[0], 0], points[corners[1], 0], points[corners[2], 0]
-    own = 1 if corners[1] == i else 2 if corners[2] == i else 0
-    second, third = 0 if own == 1 else 1, 0 if own == 2 else 2
-    hoop[:] = 0.0
-    for q in range(len(rule)):
-        weight = factor * weights[q] / (rule[q, 0] * r0 + rule[q, 1] * r1 + rule[q, 2] * r2)
-        hoop[0] += weight * (rule[q, own] * rule[q, own])
-        hoop[1] += weight * (rule[q, own] * rule[q, second])
-        hoop[2] += weight * (rule[q, own] * rule[q, third])
-    return (r0 + r1 + r2) / 3.0
-
-
 @kernel
-def add_solid(first, last, elements, start, listed, indptr, indices, data, points, body, lame, shear):
-    """Write the upper half of rows of solid elasticity, with the pattern of both, as :func:`add_plane`."""
-    slot, g = np.full(len(start) - 1, -1, dtype=np.int32), np.empty((4, 3))
+def add_solid(first, last, points, elements, body, lame, shear, start, listed, indptr, indices, data):
+    """Write the upper half of rows of solid elasticity; ``lame`` and ``shear`` are those of the bodies, ``listed`` the
+    elements of each node. Returns a bad element, or -1."""
+    g, slot = np.empty((4, 3)), np.empty(len(indptr) - 1, dtype=np.int64)
     for i in range(first, last):
-        _fill_columns(i, elements, start, listed, indptr, indices, slot)
-        for at in range(9 * np.int64(slot[i]), 9 * indptr[i + 1]):
-            data[at] = 0.0
-        xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for at in range(indptr[i], indptr[i + 1]):
+            slot[indices[at]] = at
+        data[slot[i]:indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
-            e, a = listed[k], 0
-            det = solid_cofactors(points, elements[e], g)
-            if not det > 0.0:
+            e = listed[k]
+            corners, volume = elements[e], solid_gradients(points, elements[e], g)
+            if not volume > 0.0:
                 return e
-            while elements[e, a] != i:
+            one, mu = volume * lame[body[e]], volume * shear[body[e]]
+            a = 0
+            while corners[a] != i:
                 a += 1
-            sixth = 1.0 / (6.0 * det)
-            x, y, z, one, mu = g[a, 0], g[a, 1], g[a, 2], sixth * lame[body[e]], sixth * shear[body[e]]
-            lx, ly, lz, mx, my, mz = one * x, one * y, one * z, mu * x, mu * y, mu * z
-            square = mx * x + my * y + mz * z
-            xx += lx * x + mx * x + square
-            xy += lx * y + mx * y
-            xz += lx * z + mx * z
-            yy += ly * y + my * y + square
-            yz += ly * z + my * z
-            zz += lz * z + mz * z + square
+            x, y, z = g[a, 0], g[a, 1], g[a, 2]
             for b in range(4):
-                if elements[e, b] <= i:
+                if corners[b] < i:
                     continue
-                at, u, v, w = 9 * np.int64(slot[elements[e, b]]), g[b, 0], g[b, 1], g[b, 2]
-                dot = mx * u + my * v + mz * w
-                data[at] += lx * u + mx * u + dot
-                data[at + 1] += lx * v + my * u
-                data[at + 2] += lx * w + mz * u
-                data[at + 3] += ly * u + mx * v
-                data[at + 4] += ly * v + my * v + dot
-                data[at + 5] += ly * w + mz * v
-                data[at + 6] += lz * u + mx * w
-                data[at + 7] += lz * v + my * w
-                data[at + 8] += lz * w + mz * w + dot
-        at = 9 * np.int64(slot[i])
-        data[at], data[at + 1], data[at + 2], data[at + 3], data[at + 4] = xx, xy, xz, xy, yy
-        data[at + 5], data[at + 6], data[at + 7], data[at + 8] = yz, xz, yz, zz
+                u, v, w = g[b, 0], g[b, 1], g[b, 2]
+                block, dot = data[slot[corners[b]]], mu * (x * u + y * v + z * w)
+                block[0, 0] += one * (x * u) + mu * (x * u) + dot
+                block[0, 1] += one * (x * v) + mu * (y * u)
+                block[0, 2] += one * (x * w) + mu * (z * u)
+                block[1, 0] += one * (y * u) + mu * (x * v)
+                block[1, 1] += one * (y * v) + mu * (y * v) + dot
+                block[1, 2] += one * (y * w) + mu * (z * v)
+                block[2, 0] += one * (z * u) + mu * (x * w)
+                block[2, 1] += one * (z * v) + mu * (y * w)
+                block[2, 2] += one * (z * w) + mu * (z * w) + dot
     return -1
 
 
@@ -329,10 +315,38 @@ def mirror(first, last, indptr, indices, data):
     for i in range(first, last):
         at = indptr[i]
         while indices[at] < i:
-            other = indptr[indices[at]]
-            while indices[other] != i:
-                other += 1
+            block = data[_position(indptr, indices, indices[at], i)]
             for k in range(3):
                 for m in range(3):
-                    data[9 * at + 3 * k + m] = data[9 * other + 3 * m + k]
+                    data[at, k, m] = block[m, k]
             at += 1
+
+
+@kernel
+def add_axisymmetric(points, elements, body, lame, shear, rule, weights, indptr, indices, data):
+    """Add the element matrices of axisymmetric elasticity, x = r, y = z, over the full circumference. ``rule`` (n, 3)
+    and ``weights`` (n,), of sum 1, are the barycentric points and weights of int . / r."""
+    g, hoop = np.empty((3, 2)), np.empty((3, 3))
+    for e in range(len(elements)):
+        area = plane_gradients(points, elements[e], g)
+        if not area > 0.0:
+            return e
+        r0, r1, r2 = points[elements[e, 0], 0], points[elements[e, 1], 0], points[elements[e, 2], 0]
+        hoop[:] = 0.0
+        for q in range(len(rule)):
+            weight = weights[q] / (rule[q, 0] * r0 + rule[q, 1] * r1 + rule[q, 2] * r2)
+            for a in range(3):
+                for b in range(a, 3):
+                    hoop[a, b] += weight * rule[q, a] * rule[q, b]
+        first, mu = 2.0 * np.pi * area * lame[body[e]], 2.0 * np.pi * area * shear[body[e]]
+        both = first + 2.0 * mu
+        r = (r0 + r1 + r2) / 3.0
+        for a in range(3):
+            for b in range(a, 3):
+                rr, zz, rz, zr = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
+                radial = r * (both * rr + mu * zz) + first * (g[a, 0] + g[b, 0]) / 3.0 + both * hoop[a, b]
+                _add_plane_block(elements[e, a], elements[e, b], radial,
+                                 r * (first * rz + mu * zr) + first * g[b, 1] / 3.0,
+                                 r * (first * zr + mu * rz) + first * g[a, 1] / 3.0,
+                                 r * (both * zz + mu * rr), indptr, indices, data)
+    return -1

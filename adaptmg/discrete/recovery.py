@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg._runtime import inner_kernel, kernel, read_only
-from adaptmg.discrete.elasticity import elements_of_nodes
+from adaptmg.discrete.elasticity import list_elements
 from adaptmg.mesh.arrays import MeshArrays, facet_table
 
 
@@ -29,6 +29,13 @@ def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     points = np.concatenate([mesh.points, mesh.points[number[again]]])
     number[again] = n + np.arange(again.sum())
     return read_only(number[np.searchsorted(used, keys)].astype(np.int32)), read_only(points)
+
+
+def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Elements of each node, ascending, in compressed rows: of node i ``listed[start[i]:start[i + 1]]``."""
+    start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
+    list_elements(elements, start, listed)
+    return start, listed
 
 
 def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

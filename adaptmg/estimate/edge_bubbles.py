@@ -30,8 +30,8 @@ from adaptmg.discrete.elasticity import (
     body_materials,
     is_axisymmetric,
     lame_constants,
-    plane_cofactors,
-    solid_cofactors,
+    plane_gradients,
+    solid_gradients,
 )
 from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
 from adaptmg.discrete.loads import body_elements, foundation, load_density
@@ -189,14 +189,7 @@ def edge_bubbles(mesh: MeshArrays, problem: ContactProblem) -> EdgeBubbles:
 @inner_kernel
 def _gradients(points, corners, g):
     """Write the gradients (dim + 1, dim) of the barycentric coordinates; returns the volume."""
-    if points.shape[1] == 2:
-        det, g[0, 0], g[0, 1], g[1, 0], g[1, 1], g[2, 0], g[2, 1] = plane_cofactors(points, corners)
-    else:
-        det = solid_cofactors(points, corners, g)
-    for m in range(len(g)):
-        for c in range(len(g) - 1):
-            g[m, c] /= det
-    return det / 2.0 if len(g) == 3 else det / 6.0
+    return plane_gradients(points, corners, g) if points.shape[1] == 2 else solid_gradients(points, corners, g)
 
 
 @inner_kernel
