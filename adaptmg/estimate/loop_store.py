@@ -161,7 +161,10 @@ class Meshes:
         from adaptmg.mesh import with_source
 
         for place, mesh in ((-1, own), *enumerate(extra)):
-            self._meshes[number, place] = with_source(mesh)
+            # meshes of the start know more than their arrays
+            own_to = [level.mesh for level in self.start.levels if np.array_equal(level.mesh.points, mesh.points)
+                      and np.array_equal(level.mesh.elements, mesh.elements)]
+            self._meshes[number, place] = own_to[0] if own_to else with_source(mesh)
         levels: list[Level] = []
         for k, key in enumerate(keys):
             if key not in self._alone:
