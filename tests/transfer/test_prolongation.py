@@ -75,7 +75,8 @@ ON_PLATE = am.Assembly(parts={"plate": PLATE, "below": am.Rectangle(width=1, hei
 
 @pytest.mark.parametrize(("domain", "coarse", "fine", "diagonal"), [
     (PLATE, 3, 6, "right"), (PLATE, (3, 5), (4, 7), "right"), (PLATE, 7, 3, "right"), (BLOCK, 2, 4, "right"),
-    (BLOCK, (2, 3, 1), (3, 4, 2), "right"), (ON_PLATE, {"plate": 2, "below": 3, "side": 2}, {"plate": 4, "below": 5, "side": 3}, "right"),
+    (BLOCK, (2, 3, 1), (3, 4, 2), "right"),
+    (ON_PLATE, {"plate": 2, "below": 3, "side": 2}, {"plate": 4, "below": 5, "side": 3}, "right"),
     (PLATE, 3, 6, "left"), (PLATE, 4, 8, "alternating")])
 def test_structured_meshes_are_interpolated_as_by_search(domain, coarse, fine, diagonal):
     meshes = [structured_mesh(domain, divisions, diagonal=diagonal) for divisions in (coarse, fine)]
