@@ -103,7 +103,7 @@ def study(out: Output) -> None:
     for case in cases:
         solid = "3D" in case
         loop = 1500 if out.quick else (5000 if solid else 10_000) * (3 if out.full else 1)
-        uniform = 8000 if out.quick else (50_000 if solid else 100_000) * (3 if out.full else 1)
+        uniform = 8000 if out.quick else (50_000 if solid else 130_000) * (3 if out.full else 1)
         for family in ("uniform", *ENGINES):
             found = am.Study(run, {"case": [case], "family": [family]}, out.store, name=f"{case} {family}", fixed={
                 "most": uniform if family == "uniform" else loop,
