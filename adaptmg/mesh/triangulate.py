@@ -1,11 +1,11 @@
 r"""triangulated: plane domains meshed by a size field, without Netgen.
 
-Nodes are laid along the edges, the same part of :math:`\int ds / h` apart. Put one by one into the two triangles of a
-box around the domain, with swaps of edges (C. L. Lawson, 1977), they give a Delaunay triangulation. Where it lacks an
-edge of the boundary, that edge is cut in the middle, and all is done again; triangles outside are dropped. Inside,
-nodes follow as long as a triangle's circumcircle is too large for the field: at its centre, or nearer to the triangle's
-shortest side, where they make an equilateral triangle with it, so that good triangles grow from the boundary. Swaps and
-moves end it.
+Nodes are laid along the edges, the same part of :math:`\int ds / h` apart; h is lowered around short edges. Put one by
+one into the two triangles of a box around the domain, with swaps of edges (C. L. Lawson, 1977), they give a Delaunay
+triangulation. Where it lacks an edge of the boundary, that edge is cut in the middle, and all is done again; triangles
+outside are dropped. Inside, nodes follow as long as a triangle's circumcircle is too large for the field: at its
+centre, or nearer to the triangle's shortest side, where they make an equilateral triangle with it, so that good
+triangles grow from the boundary. Swaps and moves end it.
 
 Triangles and their neighbours are a closed table from the first to the last step, and no step turns a triangle over.
 With the boundary among their edges they cover the domain once: positive areas with the right sum are all there is to
@@ -38,6 +38,8 @@ _ON_EDGE = 1e-9
 _DIP = 0.6
 # circumradius, over that of the right size, up to which sizes are interpolated
 _COARSE = 1.4
+# an edge is short below this part of the size there; growth of sizes around it
+_SHORT, _GROWTH = 0.7, 0.5
 # rounds of improvement
 _ROUNDS = 3
 
@@ -53,6 +55,7 @@ def triangulated(domain: Plane, field: Callable[[np.ndarray], np.ndarray], growt
     outline = domain if isinstance(domain, Outline) else Outline(vertices=domain.polygon.vertices,
                                                                  boundaries=domain.boundaries)
     edges = [outline.edge(i) for i in range(len(outline.vertices))]
+    field = _beside_short_edges(edges, outline.lengths, field)
     fractions = _spaced(domain, edges, outline.lengths, field, growth)
     for _ in range(_CUTS):
         places = np.concatenate([edge.at(t) for edge, t in zip(edges, fractions, strict=True)])
@@ -72,6 +75,18 @@ def triangulated(domain: Plane, field: Callable[[np.ndarray], np.ndarray], growt
     points, elements = _filled(domain, places, elements, across, field, growth)
     points, elements = improved_triangles(points, elements, np.arange(len(points)) < len(places), _ROUNDS)
     return _mesh(domain, points, elements, following, np.repeat(np.arange(len(edges)), counts))
+
+
+def _beside_short_edges(edges: list, lengths: tuple[float, ...], field: Callable[[np.ndarray], np.ndarray]
+                        ) -> Callable[[np.ndarray], np.ndarray]:
+    """The field, lowered around edges that are much shorter than it: triangles at both their ends would be flat."""
+    sizes = field(np.concatenate([edge.at(np.array([0.5])) for edge in edges]))
+    short = [(edge, length) for edge, length, size in zip(edges, lengths, sizes, strict=True) if length < _SHORT * size]
+
+    def lowered(x: np.ndarray) -> np.ndarray:
+        return np.min([field(x), *(length + _GROWTH * edge.distance(x) for edge, length in short)], axis=0)
+
+    return lowered if short else field
 
 
 def _spaced(domain: Domain, edges: list, lengths: tuple[float, ...], field: Callable[[np.ndarray], np.ndarray],
