@@ -98,44 +98,20 @@ def _of_calls(flags: Any) -> tuple[object, ...]:
     return flags.nrt, flags.error_model, flags.boundscheck, flags.debuginfo, frozenset(flags.fastmath.flags)
 
 
-def _allocates(function: Callable) -> bool:
-    """Whether a kernel, or one that it calls, makes arrays: only then numba must count references to arrays, which
-    takes half of the time of a call and a twentieth of that of compiling."""
-    seen: set[Callable] = set()
-    left = [function]
-    while left:
-        seen.add(one := left.pop())
-        names, known = one.__code__.co_names, one.__globals__
-        if not _MAKE.isdisjoint(names):
-            return True
-        left += {known[name].py_func for name in names if isinstance(known.get(name), CPUDispatcher)} - seen
-    return False
-
-
-#: what makes arrays; where another function does in a kernel, compiling fails
-_MAKE = frozenset(("array", "copy", "empty", "empty_like", "full", "ones", "zeros", "zeros_like"))
-
-
 class _Compiler(_FunctionCompiler):
     """Compiles a kernel without looking for garbage meanwhile, which takes a twentieth of the time."""
 
     def _customize_flags(self, flags: Flags) -> Flags:
-        flags = _Flags(flags)
-        flags.nrt = _allocates(self.py_func)
-        return flags
+        return _Flags(flags)
 
     def compile(self, args: Any, return_type: Any) -> Any:
         enabled = gc.isenabled()
         gc.disable()
         try:
-            made = super().compile(args, return_type)
+            return super().compile(args, return_type)
         finally:
             if enabled:
                 gc.enable()
-        returned = made.signature.return_type
-        if not _allocates(self.py_func) and made.target_context.data_model_manager[returned].contains_nrt_meminfo():
-            raise TypeError(f"{self.py_func.__qualname__} returns part of an argument: {returned}")
-        return made
 
 
 class _Inner(CPUDispatcher):
