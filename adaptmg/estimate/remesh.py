@@ -65,7 +65,7 @@ class Remesh:
         .25: .90 to .97 (upset block, flat punch), else equal.
     refinements : int
         In space Netgen makes a mesh of :math:`2^{-3k}` of the nodes, which is refined k times uniformly. With more than
-        one refinement sizes grow more slowly. Plane meshes are made without Netgen and as they are wanted.
+        one refinement sizes grow more slowly. Plane meshes are made without Netgen and are not refined.
 
     Examples
     --------

@@ -108,7 +108,7 @@ class TruncatedStep:
 
     def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> None:
         """Free what only further steps read, if it is much: half of the matrix, which is made again from the whole one,
-        and past iterates, without which they begin anew to recombine."""
+        and past iterates, without which recombination starts again."""
         if self.level.set_aside(matrix, fixed):
             self._iterates.forget()
             self.recombination.restart()

@@ -27,7 +27,7 @@ LOCKING = 0.49
 #: strains that are no longer small, where a share of a body's volume exceeds them (next to singular points they have
 #: no bound)
 STRAIN, SHARE = 0.05, 0.01
-#: one element of so many is looked at first
+#: strains are bounded by every sixteenth element first
 _SOME = 16
 #: spans beyond this many m are doubted for bodies of metal, or of moduli of metals and plastics in N/mm^2, Pa
 SPAN, METAL, IN_MPA = 10.0, 5e10, (1e3, 1e6)
