@@ -52,7 +52,8 @@ def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status
         if status is None:
             status = method.step(stop)
         if status is not None:
-            return Status.CONVERGED if status is Status.STALLED and stop.certified() else status
+            given_up = status in (Status.STALLED, Status.LIMIT)
+            return Status.CONVERGED if given_up and stop.certified() else status
 
 
 class StopTest:
@@ -128,7 +129,8 @@ class StopTest:
         return None
 
     def certified(self) -> bool:
-        """Whether the certificate finds the last iterate good enough; near rounding no rate shows that any more."""
+        """Whether the certificate finds the last iterate good enough, whatever the estimate says: near rounding no rate
+        shows that any more, and after a refusal it is cautious."""
         if not self.residual_met or self.shortfall() != 0.0:
             return False
         self.error_estimate = min(self.error_estimate, self.rtol)
