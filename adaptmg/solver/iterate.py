@@ -53,7 +53,7 @@ def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status
             status = method.step(stop)
         if status is not None:
             given_up = status in (Status.STALLED, Status.LIMIT)
-            return Status.CONVERGED if given_up and stop.certified() else status
+            return Status.CONVERGED if given_up and stop.certified(method.cycles) else status
 
 
 class StopTest:
@@ -70,7 +70,7 @@ class StopTest:
 
     def __init__(self, rtol: float, limit: float, sizes: Sizes) -> None:
         self.rtol, self.limit, self.sizes = rtol, limit, sizes
-        self._caution, self._asked, self._rounding = 1.0, 0, False
+        self._caution, self._asked, self._rounding = 1.0, -1, False
         self.changes: list[float] = []
         self.size, self.residual, self.error_estimate, self.met = 0.0, np.inf, np.inf, False
         self._last = np.nan
@@ -128,10 +128,10 @@ class StopTest:
         """By how many times the certificate finds the last iterate short of rtol; None if it is not asked."""
         return None
 
-    def certified(self) -> bool:
-        """Whether the certificate finds the last iterate good enough, whatever the estimate says: near rounding no rate
-        shows that any more, and after a refusal it is cautious."""
-        if not self.residual_met or self.shortfall() != 0.0:
+    def certified(self, cycles: int) -> bool:
+        """Whether the certificate, if it was not asked, finds the last iterate good enough, whatever the estimate says:
+        near rounding no rate shows that any more, and after a refusal it is cautious."""
+        if cycles == self._asked or not self.residual_met or self.shortfall() != 0.0:
             return False
         self.error_estimate = min(self.error_estimate, self.rtol)
         return True
