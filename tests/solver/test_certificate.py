@@ -215,6 +215,13 @@ def test_an_energy_error_beyond_the_tolerance_takes_converged_back():
     assert not am.solve(grids(), Returns(smooth, rtol=0.1 * error), throw=False).status.ok
 
 
+def test_a_result_shares_no_array_with_the_solver():
+    given = exact().displacement.copy()
+    result = am.solve(grids(), Returns(given))
+    given[:] = 0.0
+    assert (result.displacement == exact().displacement).all()
+
+
 def test_no_error_estimate_is_better_than_the_certificate_and_nothing_solved_is_not_converged():
     for factor, rtol, status in ((0.0, 0.5, "STALLED"), (0.9, 0.5, "CONVERGED"), (0.9, 1e-2, "STALLED"),
                                  (1.0, 1e-8, "CONVERGED"), (1.0001, 1e-8, "STALLED"), (1e15, 1e-8, "DIVERGED")):
