@@ -488,7 +488,8 @@ def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     """A message on a mesh that is not one of the domain; chords of arcs may miss it a little."""
     if not hasattr(problem.domain, "lower") or mesh.dim != problem.dim:  # no domain, or a STEP file
         return []
-    spans = [np.stack(ends) for ends in ((mesh.points.min(axis=0), mesh.points.max(axis=0)),
+    outside = mesh.points[mesh.facets.reshape(-1)]
+    spans = [np.stack(ends) for ends in ((outside.min(axis=0), outside.max(axis=0)),
                                          (problem.domain.lower, problem.domain.upper))]
     if (np.abs(spans[0] - spans[1]) <= 0.25 * np.ptp(spans[1], axis=0).max()).all():
         return []

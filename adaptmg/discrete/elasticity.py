@@ -124,11 +124,13 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
 def _pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Row pointers and sorted columns of the nodal matrix; pointers to the elements of each node, and these."""
     start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
-    marker, indptr = np.full(n_nodes, -1, dtype=np.int32), np.empty(n_nodes + 1, dtype=np.int64)
-    count_neighbours(elements, start, listed, marker, indptr)
+    list_elements(elements, start, listed)
+    indptr = np.zeros(n_nodes + 1, dtype=np.int64)
+    given = elements, start, listed, indptr
+    in_parts(find_neighbours, n_nodes, 4 * elements.size, *given, np.empty(0, dtype=np.int32))
+    np.cumsum(indptr, out=indptr)
     indices = np.empty(indptr[-1], dtype=np.int32)
-    marker[:] = -1
-    fill_neighbours(elements, start, listed, marker, indptr[:-1].copy(), indices)
+    in_parts(find_neighbours, n_nodes, 4 * elements.size, *given, indices)
     return indptr, indices, start, listed
 
 
@@ -167,33 +169,26 @@ def list_elements(elements, start, listed):
 
 
 @kernel
-def count_neighbours(elements, start, listed, marker, indptr):
-    """Row pointers of the pattern: nodes that share an element, each node with itself. ``start`` (n_nodes + 1,) comes
-    as 0; ``listed`` (elements.size,) and it are filled for the next kernel. ``marker`` (n_nodes,) comes as -1."""
-    list_elements(elements, start, listed)
-    indptr[0] = 0
-    for i in range(len(start) - 1):
-        count = 0
+def find_neighbours(first, last, elements, start, listed, indptr, indices):
+    """Columns of the pattern, ascending: nodes that share an element, each node with itself. Without ``indices`` how
+    many there are, to ``indptr[1:]``, which comes back summed up with them."""
+    marker = np.full(len(start) - 1, -1, dtype=np.int32)
+    for i in range(first, last):
+        count, begin = 0, indptr[i]
         for at in range(start[i], start[i + 1]):
             for v in elements[listed[at]]:
                 if marker[v] != i:
                     marker[v] = i
+                    if len(indices):
+                        # few are out of order
+                        k = begin + count
+                        while k > begin and indices[k - 1] > v:
+                            indices[k] = indices[k - 1]
+                            k -= 1
+                        indices[k] = v
                     count += 1
-        indptr[i + 1] = indptr[i] + count
-
-
-@kernel
-def fill_neighbours(elements, start, listed, marker, end, indices):
-    """Columns of the pattern, ascending. ``end`` (n_nodes,) comes as ``indptr[:-1]``, ``marker`` as -1. The pattern is
-    symmetric: when rows are run through in order and i is written into the rows of its neighbours, every row is
-    sorted."""
-    for i in range(len(start) - 1):
-        for at in range(start[i], start[i + 1]):
-            for v in elements[listed[at]]:
-                if marker[v] != i:
-                    marker[v] = i
-                    indices[end[v]] = i
-                    end[v] += 1
+        if not len(indices):
+            indptr[i + 1] = count
 
 
 @inner_kernel
