@@ -274,20 +274,19 @@ def _runs(given: Namespace) -> None:
                  for k, name in enumerate(("study", "done", "failed", "seconds", "last"))}
         _say(lines(rows(table)) if given.json else printed(table, ["study"], units={"seconds": "s"}))
         return
-    name = runs.chosen(found, given.study)
-    table, total = runs.selected(found, name, status=given.status, where=conditions, details=given.details,
-                                 limit=None if given.json or given.to is not None else limit)
-    units = runs.units(found, name, table)
+    records = found.runs(runs.chosen(found, given.study))
+    table = runs.selected(records, status=given.status, where=conditions, details=given.details)
     if given.to is not None:
         runs.write(table, given.to)
         _say(f"wrote {given.to}", err=True)
     if given.json:
         _say(lines(rows(table)))
     elif given.to is None:
+        total = len(table)
         counted = "1 run" if total == 1 else f"{total} runs"
         note = f"... {total - limit} more: --limit, or --to FILE.csv for all" if total > limit else counted
-        first = found.runs(name, limit=1)
-        _say(printed(runs.short(table), list(first[0].parameters) if first else [], units=units, note=note))
+        _say(printed(runs.short(table.head(limit)), list(records[0].parameters), units=runs.units(records, table),
+                     note=note))
 
 
 def _report(given: Namespace) -> None:
