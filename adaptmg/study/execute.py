@@ -64,6 +64,8 @@ Execute = Callable[[Task, Sequence[Point]], Iterator[list[tuple[Point, Finished]
 
 def in_turn(task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, Finished]]]:
     """Run after run, in this process."""
+    if task.fingerprint.uses_adaptmg:
+        warm()
     try:
         for point in points:
             yield [(point, compute(task.function, point))]
