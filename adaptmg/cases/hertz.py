@@ -192,18 +192,13 @@ def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.
 
     Parameters
     ----------
-    law : Law
-        On the surface; with equal materials friction changes nothing but terms of the order of a/R.
+    law, lower_radius, young, poisson : see :func:`~adaptmg.cases.hertz.hertz_cylinder`
     dim : {2, 3}
         2 is axisymmetric (x is the radius, y the axis), 3 a quarter of the full turn (z is the axis).
     load : float
         P on the whole ball, N; a quarter carries P/4.
     radius : float
         Of the ball, m, at least ten radii of contact.
-    lower_radius : float, optional
-        Of the body below, m; None for a block with a flat top.
-    young, poisson : float
-        Of both bodies, Pa, and a number.
 
     Examples
     --------

@@ -27,15 +27,15 @@ _CURVED = 1e4
 
 
 def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, *,
-              grading: float = 0.3, size_function: float | Callable[[np.ndarray], np.ndarray] | None = None,
-              unit: float = 1e-3, names: Mapping[str, str] | None = None, curvature: float = 2.0) -> MeshArrays:
+              size_function: float | Callable[[np.ndarray], np.ndarray] | None = None, unit: float = 1e-3,
+              names: Mapping[str, str] | None = None) -> MeshArrays:
     """Read and mesh a STEP file.
 
     Parameters
     ----------
     path : str or Path
         A ``.step`` or ``.stp`` file with one or several solids.
-    size, boundary_sizes, grading, size_function, curvature
+    size, boundary_sizes, size_function
         As of :func:`step_mesh`.
     unit, names
         As of :class:`adaptmg.problem.solid_domains.StepFile`.
@@ -50,8 +50,8 @@ def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float]
     FileNotFoundError, TypeError, ValueError
         If it is not there, cannot be read, has no solids, on unknown names, bad sizes, or where Netgen fails.
     """
-    domain = StepFile(path, unit, {} if names is None else names)
-    return step_mesh(domain, size, boundary_sizes, grading, size_function, curvature=curvature)
+    return step_mesh(StepFile(path, unit, {} if names is None else names), size, boundary_sizes,
+                     size_function=size_function)
 
 
 def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, grading: float = 0.3,
