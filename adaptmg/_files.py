@@ -30,13 +30,16 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     path = Path(path).expanduser()
     target = Path(os.path.realpath(path))
     try:
-        status = _status(path)
+        status = path.stat() if path.exists() else None
         if os.fspath(path) in _STREAMS:
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()  # printed text comes first
             _write_all(_STREAMS[os.fspath(path)], content)
         elif status is None or stat.S_ISREG(status.st_mode):
-            _check_place(path, target, status)
+            if status is None and not target.parent.is_dir():
+                raise FileNotFoundError(errno.ENOENT, f"the folder {os.fspath(target.parent)!r} does not exist")
+            if status is not None and not os.access(target, os.W_OK):
+                raise PermissionError(errno.EACCES, "the file is write-protected")
             _replace(target, content, status)
         elif stat.S_ISDIR(status.st_mode):
             raise IsADirectoryError(errno.EISDIR, "this is a folder, give the name of a file")
@@ -66,20 +69,6 @@ def waiting_folder(folder: Path) -> Iterator[Path]:
         yield waiting
     finally:
         shutil.rmtree(waiting, ignore_errors=True)
-
-
-def _status(path: Path) -> os.stat_result | None:
-    try:
-        return path.stat()
-    except FileNotFoundError:
-        return None
-
-
-def _check_place(path: Path, target: Path, status: os.stat_result | None) -> None:
-    if status is None and not target.parent.is_dir():
-        raise FileNotFoundError(errno.ENOENT, f"the folder {os.fspath(target.parent)!r} does not exist")
-    if status is not None and not os.access(target, os.W_OK):
-        raise PermissionError(errno.EACCES, "the file is write-protected")
 
 
 def _replace(target: Path, content: bytes, status: os.stat_result | None) -> None:

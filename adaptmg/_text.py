@@ -26,14 +26,9 @@ def printable(text: str) -> str:
                             if ord(match[0]) > 127 else f"\\x{ord(match[0]):02x}", text)
 
 
-def in_html(text: str) -> str:
-    """A text as HTML takes it: markup escaped, what it does not allow as codes."""
-    return html.escape(printable(text))
-
-
 def in_html_lines(text: str) -> str:
-    """A text in HTML, with its lines and columns."""
-    return f"<pre>{in_html(text)}</pre>\n"
+    """A text in HTML, with its lines and columns; markup is escaped."""
+    return f"<pre>{html.escape(printable(text))}</pre>\n"
 
 
 def html_table(table: pandas.DataFrame) -> str:

@@ -246,15 +246,13 @@ class Hierarchy:
         return cls(tuple(levels), None, "given prolongations", {"transfer": time.perf_counter() - begin})
 
     @classmethod
-    def algebraic(cls, discrete: DiscreteProblem, strength: float = 0.0, max_coarse: int = 300) -> Hierarchy:
+    def algebraic(cls, discrete: DiscreteProblem, max_coarse: int = 300) -> Hierarchy:
         """Coarse spaces by smoothed aggregation (pyamg), for a bare matrix.
 
         Parameters
         ----------
         discrete : DiscreteProblem
             Its ``near_nullspace`` matters: with rigid-body modes convergence is about twice as fast.
-        strength : float
-            Drop tolerance of the strength of connection, 0 <= strength < 1.
         max_coarse : int
             Nodes (rows of blocks) of the coarsest level at most.
         """
@@ -262,11 +260,8 @@ class Hierarchy:
 
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = time.perf_counter()
-        strength = checks.nonnegative("strength", strength)
-        if not strength < 1:
-            raise ValueError(f"strength must be < 1, got {strength!r}")
-        found = aggregated_prolongations(discrete.matrix, discrete.near_nullspace, discrete.fixed, strength=strength,
-                                         max_coarse=checks.integer("max_coarse", max_coarse, 1))
+        found = aggregated_prolongations(discrete.matrix, discrete.near_nullspace, discrete.fixed,
+                                         checks.integer("max_coarse", max_coarse, 1))
         if not found:
             raise ValueError(f"the matrix has {discrete.n_nodes} nodes, no more than max_coarse={max_coarse}: there is "
                              "nothing to coarsen; use SingleGrid or ActiveSet, or a smaller max_coarse")

@@ -20,7 +20,7 @@ from adaptmg.cases.bolted_junction import (
 from adaptmg.cases.cattaneo import PartialSlip, cattaneo, cattaneo_path
 from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
 from adaptmg.cases.dovetail import dovetail
-from adaptmg.cases.flat_punch import PunchPressure, flat_punch, flat_punch_meshes
+from adaptmg.cases.flat_punch import PunchPressure, flat_punch
 from adaptmg.cases.greco import curved_obstacle, greco_bar, greco_block, upset_block
 from adaptmg.cases.hertz import (
     LineContact,
@@ -34,7 +34,7 @@ from adaptmg.problem import ContactProblem
 
 __all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointContact", "PunchPressure", "TransitionField",
            "bolt_force", "bolted_junction", "cattaneo", "cattaneo_path", "coulomb_transition", "curved_obstacle",
-           "dovetail", "flat_punch", "flat_punch_meshes", "get", "greco_bar", "greco_block", "hertz_cylinder",
+           "dovetail", "flat_punch", "get", "greco_bar", "greco_block", "hertz_cylinder",
            "hertz_sphere", "incline", "joint_opening", "junction_path", "leaning_strut", "line_contact_meshes", "names",
            "open_to", "patch_mesh", "pressure_fit", "sealing_pressure", "two_block_patch", "upset_block"]
 

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.cases.flat_punch import point_meshes
 from adaptmg.problem import (
     Assembly,
     Axisymmetric,
@@ -193,18 +192,13 @@ def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.
 
     Parameters
     ----------
-    law : Law
-        On the surface; with equal materials friction changes nothing but terms of the order of a/R.
+    law, lower_radius, young, poisson : see :func:`~adaptmg.cases.hertz.hertz_cylinder`
     dim : {2, 3}
         2 is axisymmetric (x is the radius, y the axis), 3 a quarter of the full turn (z is the axis).
     load : float
         P on the whole ball, N; a quarter carries P/4.
     radius : float
         Of the ball, m, at least ten radii of contact.
-    lower_radius : float, optional
-        Of the body below, m; None for a block with a flat top.
-    young, poisson : float
-        Of both bodies, Pa, and a number.
 
     Examples
     --------
@@ -270,9 +264,18 @@ def on_circle(radius: float, contact: float) -> tuple[float, float]:
     return radius * math.sin(turn), 2 * radius * math.sin(0.5 * turn)**2
 
 
+# the least number of rounds of Netgen on the finest mesh beyond those that reach its smallest size, and the largest
+_CLOSER, _MOST = 1, 8
+# largest edge over grading and extent
+_COARSE = 0.65
+
+
 def line_contact_meshes(problem: ContactProblem, *, finest: float | None = None, levels: int | None = None,
-                        factor: float = 2.0, grading: float | None = None) -> list[MeshArrays]:
+                        grading: float | None = None) -> list[MeshArrays]:
     """Independent meshes for a hierarchy, coarse to fine, refined around the contact at the origin.
+
+    From mesh to mesh all edges are halved. Their growth is limited by 1 only, so that a coarse mesh is nowhere finer
+    than the next: else some coarse functions would be seen by no fine node.
 
     Parameters
     ----------
@@ -282,28 +285,38 @@ def line_contact_meshes(problem: ContactProblem, *, finest: float | None = None,
         Edge length within 1.3 half-widths of the middle over the half-width on the finest mesh, above 0 and at most
         0.5; default 1/40, in 3D 1/6.
     levels : int, optional
-        Number of meshes, >= 1; on the coarsest, ``finest * factor**(levels - 1)`` is at most 1. Default 5, in 3D 3.
-    factor : float
-        By which the edge lengths fall everywhere from mesh to mesh, above 1 and at most 3.
+        Number of meshes, >= 1; on the coarsest, ``finest * 2**(levels - 1)`` is at most 1. Default 5, in 3D 3.
     grading : float, optional
-        Growth of the edge length per distance on the finest mesh; ``factor`` times as much on each coarser one, up to
-        1 on the coarsest. Default 0.06, in 3D 0.25.
+        Growth of the edge length per distance on the finest mesh; twice as much on each coarser one, up to 1 on the
+        coarsest. Default 0.06, in 3D 0.25.
     """
+    from adaptmg.mesh import SizeNear, sized
+
     default_finest, default_levels, default_grading = (1 / 40, 5, 0.06) if problem.dim == 2 else (1 / 6, 3, 0.25)
     finest = checks.positive("finest", default_finest if finest is None else finest)
     levels = checks.integer("levels", default_levels if levels is None else levels, 1)
+    grading = checks.positive("grading", default_grading if grading is None else grading)
     if not finest <= 0.5:
         raise ValueError(f"finest must be at most 0.5 of the half-width, got {finest!r}")
     if "half_width" not in problem.reference or problem.domain is None:
         raise ValueError(f"problem {problem.name!r} has no half_width in its reference, or no domain: take a case of "
                          "Hertz")
-    coarsest = finest * checks.number("factor", factor)**(levels - 1)
-    if not coarsest <= 1 + 1e-9:
-        raise ValueError(f"finest * factor**(levels - 1) must be at most 1, got {coarsest:.3g}: take fewer levels or a "
-                         "smaller finest")
-    a = problem.reference["half_width"]
-    return point_meshes(problem.domain, [(0.0,) * problem.dim], size=finest * a, radius=1.3 * a, levels=levels,
-                        factor=factor, grading=default_grading if grading is None else grading)
+    for name, value in (("finest", finest), ("grading", grading)):
+        if not value * 2**(levels - 1) <= 1 + 1e-9:
+            raise ValueError(f"{name} * 2**(levels - 1) must be at most 1, got {value * 2**(levels - 1):.3g}: take "
+                             f"fewer levels or a smaller {name}")
+    a, parts = problem.reference["half_width"], problem.domain.parts.values()
+    extent, meshes = float(max(np.max(part.upper - part.lower) for part in parts)), []
+    for level in reversed(range(levels)):
+        scale = 2.0**level
+        steep = min(1.0, grading * scale)
+        near, most = finest * a * scale, _COARSE * steep * extent
+        deep = max(0, math.ceil(math.log(most / near / 16, 8)))
+        # rounds on coarse meshes cost little, and their few elements follow the field less closely
+        rounds = min(2 + deep + _CLOSER + 2 * level, max(_MOST, 2 + deep))
+        field = SizeNear([(0.0,) * problem.dim], size=near, radius=1.3 * a, grading=steep)
+        meshes.append(sized(problem.domain, field, most, rounds, grading=steep, mesher="netgen"))
+    return meshes
 
 
 def pressure_fit(x: np.ndarray, pressure: np.ndarray, half_width: float, share: float = 0.8) -> tuple[float, float]:

@@ -65,14 +65,6 @@ _APART = ("self", "problem", "store", "depends", "progress", "scheduler", "solve
           "coarse_smoother", "flanges")
 
 
-class WrongSetting(ValueError):
-    """A setting that is refused; ``place`` is its section, or the key in it as "section.key"."""
-
-    def __init__(self, words: object, place: str) -> None:
-        super().__init__(str(words))
-        self.place = place
-
-
 @dataclass(frozen=True)
 class Key:
     """A key as the docstring of its argument describes it."""
@@ -303,7 +295,7 @@ def case_keys(name: str) -> dict[str, Key]:
     return {"case": sections()["case"]["case"], **keys_of(get(name).function)}
 
 
-def setting(known: Mapping[str, Mapping[str, Key]], name: str, value: object, place: str) -> Value:
+def setting(known: Mapping[str, Mapping[str, Key]], name: str, value: object) -> Value:
     """Return the value of a setting as a parameter; whole numbers are floats where an argument is one."""
     part, _, key = name.partition(".")
     keys = known[part]
@@ -312,20 +304,19 @@ def setting(known: Mapping[str, Mapping[str, Key]], name: str, value: object, pl
     by_name = "." in key and head is not None and ("mapping" in head.values or "{" in head.values)
     if not (key in keys or by_name or (part == "load_path" and key)):
         command = "cases NAME" if part == "case" else "study --keys"
-        raise WrongSetting(f"[{part}] has no key {key!r}{checks.suggestion(key, keys)}: 'adaptmg {command}' lists the "
-                           "keys", place)
-    plain = _plain(name, value, place)
+        raise ValueError(f"[{part}] has no key {key!r}{checks.suggestion(key, keys)}: 'adaptmg {command}' lists the "
+                         "keys")
+    plain = _plain(name, value)
     whole = type(plain) is int and key in keys and keys[key].real
     return float(plain) if whole and abs(plain) < 1e300 else plain
 
 
-def _plain(name: str, value: object, place: str) -> Value:
+def _plain(name: str, value: object) -> Value:
     if isinstance(value, list | tuple):
-        return tuple(_plain(f"{name}[{k}]", item, place) for k, item in enumerate(value))
+        return tuple(_plain(f"{name}[{k}]", item) for k, item in enumerate(value))
     if isinstance(value, bool | int | float | str):
         return value
-    raise WrongSetting(f"{name} must be a number, text, true, false, or a list of those, got {checks.shown(value)}",
-                       place)
+    raise ValueError(f"{name} must be a number, text, true, false, or a list of those, got {checks.shown(value)}")
 
 
 def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Value]:
@@ -336,7 +327,7 @@ def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> d
         part, _, key = name.partition(".")
         value = _value_of(text)
         listed = key in known[part] and known[part][key].values.startswith(("sequence", "list"))
-        found[name] = setting(known, name, (value,) if listed and not isinstance(value, tuple) else value, name)
+        found[name] = setting(known, name, (value,) if listed and not isinstance(value, tuple) else value)
     if adaptive and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(found):
         found["adapt.max_nodes"] = _NODES
     return found

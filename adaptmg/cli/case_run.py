@@ -4,10 +4,10 @@ measures, and the check of settings before anything is meshed."""
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,17 +15,15 @@ import adaptmg as am
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.cli import build
-from adaptmg.cli.build import Arguments, Settings, WrongSetting, parts, problem_of, section, solver_of
+from adaptmg.cli.build import Arguments, Settings, parts, problem_of, section, solver_of
 from adaptmg.estimate.step import Limits
+from adaptmg.mesh.structured import lattice_nodes
 from adaptmg.problem.load_path import names_in_path
-from adaptmg.problem.plane_domains import Domain
 from adaptmg.study.record import Scalar, Value
 
 if TYPE_CHECKING:
     from adaptmg.solver.result import Result
 
-#: nodes of grids that are refused before anything runs
-_MOST_NODES = {2: 5e6, 3: 2e6}
 #: the measures of a file without [measure]
 COLUMNS = ("cycles", "work_units", "residual", "nodes")
 
@@ -147,33 +145,23 @@ def solved(settings: Settings, callback: Callable[[dict[str, float]], None] | No
 
 
 def check(settings: Settings) -> None:
-    """Make problem, path, method and arguments without meshing; WrongSetting for settings that are refused."""
-    def in_section(name: str, make: Callable[[Arguments], object]) -> Any:
-        try:
-            return make(section(settings, name))
-        except (ValueError, TypeError) as error:
-            raise WrongSetting(error, name) from error
-
-    task = in_section("case", problem_of)
-    in_section("load_path", lambda given: _check_path(task, build.load_path(settings)))
-    in_section("hierarchy", lambda given: _check_hierarchy(task, given, bool(section(settings, "adapt"))))
-    in_section("solver", solver_of)
-    in_section("adapt", lambda given: given and _check_adaptation(task, build.adaptation(settings)))
-    in_section("measure", lambda given: _check_measures(task, given))
-
-
-def _check_path(task: am.ContactProblem, path: am.LoadPath | None) -> None:
+    """Make problem, path, method and arguments without meshing; ValueError or TypeError for what is refused."""
+    task, path = problem_of(section(settings, "case")), build.load_path(settings)
     known = names_in_path(task)
     for name in path.factors if path is not None else ():
         if name not in known:
             raise ValueError(f"load_path.{name}: the problem has no load there{checks.suggestion(name, known)}; it has "
                              f"loads on {', '.join(known)}")
-
-
-def _check_adaptation(task: am.ContactProblem, found: Arguments) -> None:
-    Limits(**{limit: found[limit] for limit in ("tolerance", "max_nodes", "max_seconds") if limit in found})
-    for part in parts(task).values() if "start" in found else ():
-        _check_size("adapt.start", checks.quantity("start", found["start"], positive=True), part)
+    if section(settings, "adapt"):
+        if section(settings, "hierarchy"):
+            raise ValueError("give [hierarchy] or [adapt], not both: adaptation makes its own meshes")
+        found = build.adaptation(settings)
+        Limits(**{limit: found[limit] for limit in ("tolerance", "max_nodes", "max_seconds") if limit in found})
+        _check_sizes(task, "adapt.start", [found["start"]] if "start" in found else [])
+    else:
+        _check_grids(task, build.grid_arguments(task, section(settings, "hierarchy"))[1])
+    solver_of(section(settings, "solver"))
+    _check_measures(task, section(settings, "measure"))
 
 
 def _check_measures(task: am.ContactProblem, given: Arguments) -> None:
@@ -192,45 +180,25 @@ def _check_measures(task: am.ContactProblem, given: Arguments) -> None:
         check_arrays.vector(f"measure.points.{name}", point, task.dim)
 
 
-def _check_hierarchy(task: am.ContactProblem, given: Arguments, adaptive: bool) -> None:
-    """ValueError for grids of which some are not from coarse to fine, or would take hours."""
-    if adaptive and given:
-        raise ValueError("give [hierarchy] or [adapt], not both: adaptation makes its own meshes")
-    if adaptive:
-        return
-    arguments = build.grid_arguments(task, given)[1]
-    sized = "sizes" in arguments
-    rows, name = arguments["sizes" if sized else "divisions"], f"hierarchy.{'sizes' if sized else 'divisions'}"
-    if not sized and not build.are_blocks(task):
-        raise ValueError(f"{name} are for rectangles and boxes, which this case is not: give hierarchy.sizes = [10e-3, "
-                         "5e-3] (element sizes in m, coarse to fine)")
-    if not isinstance(rows, tuple | list) or not rows:
-        raise TypeError(f"{name} must be a list of {'sizes in m' if sized else 'whole numbers'}, got "
-                        f"{checks.shown(rows)}")
-    for body, part in parts(task).items():
-        values = [row.get(body, 1) if isinstance(row, dict) else row for row in rows]
-        if any(isinstance(value, tuple) for value in values):
-            continue
-        values = [checks.quantity(name, v, positive=True) if sized else checks.integer(name, v, 1, 10**9)
-                  for v in values]
-        if any(a <= b if sized else a >= b for a, b in pairwise(values)):
-            raise ValueError(f"{name} must go from coarse to fine, got {checks.shown(values)}")
-        if sized:
-            _check_size(name, values[0], part)
-        ratio = arguments.get("contact_ratio", 1.0)
-        ratio = checks.quantity("hierarchy.contact_ratio", ratio.get(body, 1.0) if isinstance(ratio, dict) else ratio)
-        # the bodies fill a part of their boxes; elements along contact are counted, not in the plane
-        cells = (part.upper - part.lower) / values[-1]
-        nodes = max(float(np.prod(cells)) / 10, float(cells.max()) * ratio * 50) if sized else \
-            len(parts(task)) * (values[-1] + 1.0)**task.dim
-        if nodes > _MOST_NODES[task.dim]:
-            raise ValueError(f"{name}: {values[-1]:g} makes about {nodes:.0e} nodes, at most "
-                             f"{_MOST_NODES[task.dim]:.0e} are run")
+def _check_grids(task: am.ContactProblem, arguments: Arguments) -> None:
+    """Raise ValueError for grids that are not from coarse to fine; making them checks the rest."""
+    if "divisions" in arguments:
+        rows = checks.listed("hierarchy.divisions", arguments["divisions"], "whole numbers")
+        fineness = [lattice_nodes(task.domain, row) for row in rows]
+    else:
+        rows = checks.listed("hierarchy.sizes", arguments["sizes"], "sizes in m")
+        _check_sizes(task, "hierarchy.sizes", rows)
+        fineness = [-min(row.values()) if isinstance(row, dict) else -row for row in rows]
+    if any(a >= b for a, b in pairwise(fineness)):
+        raise ValueError(f"hierarchy: grids must go from coarse to fine, got {checks.shown(rows)}")
 
 
-def _check_size(name: str, size: float, part: Domain) -> None:
+def _check_sizes(task: am.ContactProblem, name: str, rows: Sequence[float | dict[str, float]]) -> None:
     """Most sizes that are too large are in millimetres."""
-    longest = float((part.upper - part.lower).max())
-    if size > longest:
-        raise ValueError(f"{name}: {size:g} m is more than the body is long ({longest:g} m): sizes are in m, such as "
-                         f"{longest / 4:g}")
+    for body, part in parts(task).items():
+        longest = float((part.upper - part.lower).max())
+        for row in rows:
+            size = checks.quantity(name, row.get(body, longest) if isinstance(row, dict) else row, positive=True)
+            if size > longest:
+                raise ValueError(f"{name}: {size:g} m is more than the body is long ({longest:g} m): sizes are in m, "
+                                 f"such as {longest / 4:g}")

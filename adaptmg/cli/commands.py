@@ -219,7 +219,8 @@ def _adapt(given: Namespace) -> None:
 
 def _study(given: Namespace) -> int:
     from adaptmg.cli import study_file
-    from adaptmg.cli.output import logged
+    from adaptmg.cli.case_run import units_of
+    from adaptmg.cli.output import logged, printed
 
     if given.keys or given.template is not None:
         if given.json:
@@ -233,15 +234,12 @@ def _study(given: Namespace) -> int:
     options = {**described.options, "rerun": given.rerun, "retry_failed": given.retry_failed}
     if given.workers is not None or given.scheduler is not None:
         options |= {"workers": given.workers, "scheduler": given.scheduler}
-    study_file.check_options(described, options)
     target = described.store if given.store is None else given.store
     # a dry run writes nothing
     made = study_file.checked(described, target if not given.dry_run or target.exists() else None)
     if given.dry_run:
         _print_json(study_file.summary(made, False)) if given.json else _say(study_file.plan(made))
         return 0
-    if options.get("workers") is None and given.scheduler is None:
-        study_file.warm(made)
     # failures only on a terminal, else a line for each run
     level = logging.INFO if sys.stderr and not (given.quiet or sys.stderr.isatty()) else logging.WARNING
     with logged("adaptmg.study", level, logging.StreamHandler()):
@@ -249,8 +247,10 @@ def _study(given: Namespace) -> int:
     if given.json:
         _print_json(study_file.summary(made, True))
     elif not given.quiet:
-        _say(f"{study_file.table(made, table)}\n\n{made.status()!r}\nstored in {target}")
-    failed, missed = int((table["status"] == "failed").sum()), study_file.unsolved(table)
+        text = printed(table.drop(columns="error"), made.parameters, units=units_of(table))
+        _say(f"{text}\n\n{made.status()!r}\nstored in {target}")
+    failed = int((table["status"] == "failed").sum())
+    missed = int((table["outcome"].dropna() != "CONVERGED").sum()) if "outcome" in table else 0
     for count, words in ((failed, "failed: --retry-failed runs them again"),
                          (missed, "did not converge, see the column outcome")):
         if count:
@@ -274,20 +274,19 @@ def _runs(given: Namespace) -> None:
                  for k, name in enumerate(("study", "done", "failed", "seconds", "last"))}
         _say(lines(rows(table)) if given.json else printed(table, ["study"], units={"seconds": "s"}))
         return
-    name = runs.chosen(found, given.study)
-    table, total = runs.selected(found, name, status=given.status, where=conditions, details=given.details,
-                                 limit=None if given.json or given.to is not None else limit)
-    units = runs.units(found, name, table)
+    records = found.runs(runs.chosen(found, given.study))
+    table = runs.selected(records, status=given.status, where=conditions, details=given.details)
     if given.to is not None:
         runs.write(table, given.to)
         _say(f"wrote {given.to}", err=True)
     if given.json:
         _say(lines(rows(table)))
     elif given.to is None:
+        total = len(table)
         counted = "1 run" if total == 1 else f"{total} runs"
         note = f"... {total - limit} more: --limit, or --to FILE.csv for all" if total > limit else counted
-        first = found.runs(name, limit=1)
-        _say(printed(runs.short(table), list(first[0].parameters) if first else [], units=units, note=note))
+        _say(printed(runs.short(table.head(limit)), list(records[0].parameters), units=runs.units(records, table),
+                     note=note))
 
 
 def _report(given: Namespace) -> None:
@@ -317,7 +316,7 @@ def _errors(texts: Sequence[str]) -> Iterator[None]:
         # by its name: solvers may not be loaded
         missed = "NotConverged" in {kind.__name__ for kind in type(error).__mro__}
         text = " ".join(_words(error).split())
-        if command in _SECTIONS and hasattr(error, "place"):  # keys of settings are options here
+        if command in _SECTIONS:  # keys of settings are options here
             text = re.sub(rf"\b(?:{'|'.join(_SECTIONS[command])})\.([\w.]+)",
                           lambda match: f"--{match[1].replace('_', '-')}", text)
         _fail(f"{'not converged: ' * missed}{text}", as_json)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import operator
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -39,25 +40,20 @@ def chosen(store: Store, name: str | None) -> str:
     return names[0] if name is None else name
 
 
-def selected(store: Store, name: str, *, status: str | None = None, where: Sequence[Condition] = (),
-             limit: int | None = None, details: bool = False) -> tuple[pd.DataFrame, int]:
-    """Return runs of a study in the order of storing, and their number without ``limit``. Parameters that are the same
-    in all runs of the study are left out. Only runs that are shown are read, unless there are conditions."""
-    records = store.runs(name, status, None if where else limit)
-    total = store.count(name, status)
-    if where:
-        records = _matching(records, where)
-        total, records = len(records), records[:limit]
-    first = store.runs(name, limit=1)
-    same = set(first[0].parameters) - set(store.varying(name, first[0].parameters)) if first else set()
-    names = list(dict.fromkeys(key for record in records for key in record.parameters))
-    vary = [key for key in names if key not in same] or names
-    return frame(vary, [(record.parameters, record, record.status) for record in records], details), total
+def selected(records: Sequence[Record], *, status: str | None = None, where: Sequence[Condition] = (),
+             details: bool = False) -> pd.DataFrame:
+    """Return runs of a study as a table, without the parameters that are the same in all of its runs."""
+    counts = Counter((key, repr(value)) for record in records for key, value in record.parameters.items())
+    varying = list(dict.fromkeys(key for (key, _), count in counts.items() if count < len(records)))
+    found = [record for record in records if status in (None, record.status)]
+    found = _matching(found, where) if where else found
+    names = varying or list(dict.fromkeys(key for key, _ in counts))
+    return frame(names, [(record.parameters, record, record.status) for record in found], details)
 
 
-def units(store: Store, name: str, columns: Sequence[str]) -> dict[str, str]:
+def units(records: Sequence[Record], columns: Sequence[str]) -> dict[str, str]:
     """Return units of the columns of a table: those of what study files measure where the study is of one."""
-    if any("case.case" in record.parameters for record in store.runs(name, limit=1)):
+    if any("case.case" in record.parameters for record in records):
         from adaptmg.cli.case_run import units_of  # loads the solvers
 
         return units_of(columns)
@@ -70,7 +66,8 @@ def report(path: Path, study: str | None, results: list[str] | None, to: Path | 
 
     store = opened(path)
     name = chosen(store, study)
-    records, (table, _) = store.runs(name), selected(store, name)
+    records = store.runs(name)
+    table = selected(records)
     table.attrs["study"] = name
     parameters = {key for record in records for key in record.parameters}
     if to is None and Path(name).name != name:
@@ -82,7 +79,7 @@ def report(path: Path, study: str | None, results: list[str] | None, to: Path | 
     same = [f"{key} = {_shown(value)}" for key, value in records[0].parameters.items()
             if key not in table and not key.startswith("measure.")]
     written = study_report(table, page, parameters=[key for key in table if key in parameters], results=results,
-                           csv=csv.name, units=units(store, name, table), made=_origin(records),
+                           csv=csv.name, units=units(records, table), made=_origin(records),
                            summary=f"In all runs {'; '.join(same)}." if same else "")
     write(table, csv)
     return written, csv

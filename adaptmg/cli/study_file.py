@@ -1,37 +1,35 @@
 """Study files: TOML that describes case, grids, solver, load path, adaptation, measures, and the settings that vary.
 
 The keys are the arguments of the classes and functions that take them (:mod:`adaptmg.cli.build`), which check the
-values before anything runs. A message about a file begins with its name and, where it is known, the line. Texts about
-study files follow: all keys and measures, the arguments of a case, a file to begin with.
+values before anything runs. A message about a file begins with its name. Texts about study files follow: all keys and
+measures, the arguments of a case, a file to begin with.
 """
 
 from __future__ import annotations
 
 import itertools
 import os
-import re
 import shutil
 import textwrap
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-
-import pandas as pd
 
 from adaptmg import _checks as checks
 from adaptmg._text import printable
 from adaptmg.cases import CASES, get
-from adaptmg.cli.build import PURPOSE, SETTINGS, Key, WrongSetting, case_keys, sections, sensible_grids, setting
-from adaptmg.cli.case_run import MEASURES, case_run, check, units_of
+from adaptmg.cli.build import PURPOSE, SETTINGS, Key, case_keys, sections, sensible_grids, setting
+from adaptmg.cli.case_run import MEASURES, case_run, check
 from adaptmg.cli.output import printed, rows
 from adaptmg.problem.load_path import names_in_path
-from adaptmg.study import Grid, LatinHypercube, Random, Repeated, Sobol, Study, Zip, execute
+from adaptmg.study import Grid, LatinHypercube, Random, Repeated, Sobol, Study, Zip
 from adaptmg.study.designs import Design
 from adaptmg.study.record import Value
 
-#: bytes of a study file at most
-_MOST = 1_000_000
+#: bytes of a study file at most, points that are checked before anything runs, points that a plan shows
+_MOST, _EXAMINED, _SHOWN = 1_000_000, 5000, 20
 _DESIGNS = {"grid": Grid, "zip": Zip, "random": Random, "latin-hypercube": LatinHypercube, "sobol": Sobol}
 
 
@@ -45,35 +43,6 @@ class StudyFile:
     fixed: dict[str, Value]  # the other settings, by the same names, and those of [measure]
     options: dict[str, Value]  # of Study.run
     path: Path
-    text: str
-
-    def error(self, words: str, cause: WrongSetting) -> ValueError:
-        """Return an error that names the file and the line of what caused it."""
-        return _error(self.path, _line(self.text, cause.place, str(cause)), words)
-
-
-def _error(path: Path, line: int, words: object) -> ValueError:
-    return ValueError(f"{printable(str(path))}{f', line {line}' if line else ''}: {words}")
-
-
-def _line(text: str, place: str, words: str) -> int:
-    """Return the line of a key, else of a key in that section which a message names, else of the section, else 0."""
-    here, found = "", {}
-    for number, line in enumerate(text.splitlines(), 1):
-        header, key = re.match(r"\s*\[+([^\[\]]+)\]", line), re.match(r"\s*([^\s=#\[][^=#]*?)\s*=", line)
-        here = re.sub("[\"'\\s]", "", header[1]) if header else here
-        name = here if header else ".".join(filter(None, (here, re.sub("[\"'\\s]", "", key[1])))) if key else ""
-        found = {name.removeprefix("vary."): number, name: number} | found
-    inside = [name for name in found if name.startswith(f"{place}.")] if place not in found or "." not in place else ()
-    for part in (0, 1, -1):
-        shown = {name: re.search(rf"(?<![\w.-]){re.escape('.'.join(name.split('.')[part:]))}(?![\w-])", words)
-                 for name in inside}
-        if named := {name: match.start() for name, match in shown.items() if match}:
-            # a message may name the case too
-            return found[min(named, key=lambda name: (name.endswith("case.case"), named[name]))]
-    while place and place not in found:
-        place = place.rpartition(".")[0]
-    return found.get(place, 0)
 
 
 def read(path: str | os.PathLike[str]) -> StudyFile:
@@ -81,25 +50,23 @@ def read(path: str | os.PathLike[str]) -> StudyFile:
     file = checks.file_path("FILE", path)
     with file.open("rb") as stream:
         content = stream.read(_MOST + 1)
-    try:
-        if len(content) > _MOST:
-            raise ValueError(f"it has more than {_MOST} bytes")
+    if len(content) > _MOST:
+        raise ValueError(f"{printable(str(file))}: it has more than {_MOST} bytes")
+    with _named(file):
         # Windows begins texts with a mark
-        text = content.decode("utf-8-sig")
-        parsed = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        where = re.search(r"at line (\d+)", str(error))
-        line = int(where[1]) if where else 0
-        if isinstance(error, UnicodeDecodeError):
-            line, error = content.count(b"\n", 0, error.start) + 1, "save it as text in UTF-8"
-        raise _error(file, line, f"not TOML: {error}") from None
+        return _checked(file, tomllib.loads(content.decode("utf-8-sig")))
+
+
+@contextmanager
+def _named(file: Path, words: str = "") -> Iterator[None]:
+    """Let messages begin with the name of a file, and words."""
     try:
-        return _checked(file, text, parsed)
-    except WrongSetting as error:
-        raise _error(file, _line(text, error.place, str(error)), error) from None
+        yield
+    except (ValueError, TypeError, RecursionError) as error:
+        raise ValueError(f"{printable(str(file))}: {words}{error}") from None
 
 
-def _checked(path: Path, text: str, content: dict[str, object]) -> StudyFile:
+def _checked(path: Path, content: dict[str, object]) -> StudyFile:
     """Check sections, keys, and values that nothing else checks."""
     _check_sections(content)
     name = content.get("name", path.stem)
@@ -108,37 +75,32 @@ def _checked(path: Path, text: str, content: dict[str, object]) -> StudyFile:
              for key, value in _flat(section, content.get(section, {})).items()}
     cases = varied.get("case.case", [fixed.get("case.case")])
     for case in cases if isinstance(cases, list) else [cases]:
-        try:
-            known = sections() | {"case": case_keys(checks.boundary_name("case", case))}
-        except (TypeError, ValueError) as error:
-            raise WrongSetting(error, "vary.case.case" if "case.case" in varied else "case.case") from None
-        fixed = {key: setting(known, key, value, key) for key, value in fixed.items()}
+        known = sections() | {"case": case_keys(checks.boundary_name("case.case", case))}
+        fixed = {key: setting(known, key, value) for key, value in fixed.items()}
         varied = {key: _varied(known, key, values) for key, values in varied.items()}
     design = _design(content, varied)
     fixed = {key: value for key, value in fixed.items() if key not in varied}
     return StudyFile(name=name, store=checks.file_path("store", content.get("store", f"results/{name}.sqlite")),
-                     design=design, fixed=fixed, options=_options(content.get("run", {}), [*fixed, *varied]),
-                     path=path, text=text)
+                     design=design, fixed=fixed, options=_options(content.get("run", {}), [*fixed, *varied]), path=path)
 
 
 def _check_sections(content: Mapping[str, object]) -> None:
     for name, value in content.items():
         if name in ("name", "store"):
-            if not isinstance(value, str) or not value.strip() or not value.isprintable():
-                raise WrongSetting(f"{name} must be text, got {checks.shown(value)}", name)
+            checks.boundary_name(name, value)
             if name == "name" and (set(value) & set("/\\") or value.startswith(".") or len(value) > 100):
-                raise WrongSetting(f"name becomes that of files, got {checks.shown(value)}", name)
+                raise ValueError(f"name becomes that of files, got {checks.shown(value)}")
         elif name not in PURPOSE:
             owners = [f" (it belongs below [{section}])" for section, known in sections().items() if name in known]
             hint = owners[0] if owners else checks.suggestion(name, [*PURPOSE, "name", "store"])
-            raise WrongSetting(f"there is no section {name!r}{hint}; there are {', '.join(PURPOSE)}, and before them "
-                               "name and store", f"{name}.")
+            raise ValueError(f"there is no section {name!r}{hint}; there are {', '.join(PURPOSE)}, and before them "
+                             "name and store")
         elif not isinstance(value, dict):
-            raise WrongSetting(f"{name} must be one section, [{name}], got {checks.shown(value)}", name)
+            raise ValueError(f"{name} must be one section, [{name}], got {checks.shown(value)}")
     for name in ("case", "vary"):
         if not content.get(name):
-            raise WrongSetting(f"there is no section [{name}] ({PURPOSE[name]}), or it is empty; 'adaptmg study "
-                               "--template greco_bar' prints a file to begin with", name)
+            raise ValueError(f"there is no section [{name}] ({PURPOSE[name]}), or it is empty; 'adaptmg study "
+                             "--template greco_bar' prints a file to begin with")
 
 
 def _flat(section: str, table: Mapping[str, object], before: str = "") -> dict[str, object]:
@@ -148,7 +110,7 @@ def _flat(section: str, table: Mapping[str, object], before: str = "") -> dict[s
         inner = _flat(section, value, f"{before}{key}.") if isinstance(value, dict) and value else \
             {f"{before}{key}": value}
         if twice := sorted(set(inner) & set(found)):
-            raise WrongSetting(f"[{section}] names {twice[0]} twice", f"{section}.{twice[0]}")
+            raise ValueError(f"[{section}] names {twice[0]} twice")
         found |= inner
     return found
 
@@ -157,106 +119,52 @@ def _varied(known: Mapping[str, Mapping[str, Key]], name: str, values: object) -
     part, _, key = name.partition(".")
     if part not in SETTINGS or not key:
         names = [f"{part}.{key}" for part in SETTINGS for key in known[part]]
-        raise WrongSetting(f"{name!r} cannot be varied{checks.suggestion(name, names)}: name a setting as "
-                           "\"section.key\"", f"vary.{name}")
+        raise ValueError(f"{name!r} cannot be varied{checks.suggestion(name, names)}: name a setting as "
+                         "\"section.key\"")
     if not isinstance(values, list) or not values:
-        raise WrongSetting(f"{name} must be a list of values, got {checks.shown(values)}", f"vary.{name}")
-    return [setting(known, name, value, f"vary.{name}") for value in values]
+        raise ValueError(f"{name} must be a list of values, got {checks.shown(values)}")
+    return [setting(known, name, value) for value in values]
 
 
 def _design(content: Mapping[str, object], values: dict[str, list[Value]]) -> Design:
-    given = {key: setting(sections(), f"design.{key}", value, f"design.{key}")
-             for key, value in content.get("design", {}).items()}
+    given = {key: setting(sections(), f"design.{key}", value) for key, value in content.get("design", {}).items()}
     repeats, kind = given.pop("repeats", 1), given.pop("kind", "grid")
-    try:
-        checks.choice("design.kind", kind, _DESIGNS)
-        if kind in ("grid", "zip") and given:
-            raise ValueError(f"design.{next(iter(given))} belongs to samples, such as kind = \"sobol\"")
-        if kind not in ("grid", "zip") and "runs" not in given:
-            raise ValueError(f"design.kind {kind} needs runs = NUMBER, and [low, high] of each setting in [vary]")
-        made = _DESIGNS[kind](values, **given)
-        checks.integer("design.repeats", repeats, 1, 10**9)
-        return made if repeats == 1 else Repeated(made, repeats, name="repeat")
-    except (TypeError, ValueError) as error:
-        words = re.sub(r"(?:parameters|ranges)\['([^']*)'\]", r"\1", str(error))
-        of_design = any(re.search(rf"\b{key}\b", words) for key in content.get("design", {}))
-        raise WrongSetting(words, "design" if of_design else "vary") from None
+    checks.choice("design.kind", kind, _DESIGNS)
+    if kind in ("grid", "zip") and given:
+        raise ValueError(f"design.{next(iter(given))} belongs to samples, such as kind = \"sobol\"")
+    if kind not in ("grid", "zip") and "runs" not in given:
+        raise ValueError(f"design.kind {kind} needs runs = NUMBER, and [low, high] of each setting in [vary]")
+    made = _DESIGNS[kind](values, **given)
+    return made if repeats == 1 else Repeated(made, repeats, name="repeat")
 
 
 def _options(given: Mapping[str, object], settings: list[str]) -> dict[str, Value]:
-    tests = {"workers": lambda name, value: checks.integer(name, value, 1), "limit_s": checks.positive,
-             "memory_limit": checks.positive, "cost": checks.boundary_name}
-    found = {}
-    for key, value in given.items():
-        setting(sections(), f"run.{key}", value, f"run.{key}")
-        try:
-            found[key] = tests[key](f"run.{key}", value)
-        except (TypeError, ValueError) as error:
-            raise WrongSetting(error, f"run.{key}") from None
+    """Return the options of :meth:`adaptmg.study.Study.run`, which checks their values."""
+    found = {key: setting(sections(), f"run.{key}", value) for key, value in given.items()}
     known = [*settings, *MEASURES, "seconds"]
-    if found.get("cost", "seconds") not in known:
-        raise WrongSetting(f"run.cost: there is no setting or measure {found['cost']!r}"
-                           f"{checks.suggestion(found['cost'], known)}", "run.cost")
+    if "cost" in found and checks.boundary_name("run.cost", found["cost"]) not in known:
+        raise ValueError(f"run.cost: there is no setting or measure {found['cost']!r}"
+                         f"{checks.suggestion(found['cost'], known)}")
     return found
 
 
-#: points whose problem and solver are made before anything runs: the first ones, those with a new value among the
-#: first points that are examined
-_FIRST, _NEW, _EXAMINED = 100, 1000, 50_000
-#: points that a plan shows, and the largest study of which it reads the status
-_SHOWN, _STATUS = 20, 20_000
-
-
 def checked(file: StudyFile, store: Path | None) -> Study:
-    """Return the study, after making problem and solver of the first points and of those with a new value."""
+    """Return the study, after making problem and solver of its first points with a new value."""
     seen: set[tuple[str, Value]] = set()
-    count = 0
     for point in itertools.islice(file.design.points(), _EXAMINED):
-        new = set(point.items()) - seen
-        if count >= _FIRST and (not new or count == _FIRST + _NEW):
-            continue
-        seen |= new
-        count += 1
-        try:
-            check({**file.fixed, **point})
-        except WrongSetting as error:
+        if not seen.issuperset(point.items()):
+            seen |= set(point.items())
             varied = ", ".join(f"{name} = {value!r}" for name, value in point.items())
-            raise file.error(f"with {checks.shown(varied)[1:-1]}: {error}", error) from None
+            with _named(file.path, f"with {checks.shown(varied)[1:-1]}: "):
+                check({**file.fixed, **point})
     return Study(case_run, file.design, store, name=file.name, fixed=file.fixed)
-
-
-def check_options(file: StudyFile, options: Mapping[str, Value]) -> None:
-    """Raise ValueError for limits that need workers, before a store is made."""
-    for key in ("limit_s", "memory_limit"):
-        if options.get(key) is not None and options.get("workers") is None and options.get("scheduler") is None:
-            words = (f"run.{key} needs workers, in the file or as --workers 1 or more: a run in this process cannot be "
-                     "stopped")
-            raise file.error(words, WrongSetting(words, f"run.{key}"))
-
-
-def unsolved(table: pd.DataFrame) -> int:
-    """Return the number of runs that ended without reaching their tolerance."""
-    return int(((table["status"] == "done") & (table["outcome"] != "CONVERGED")).sum()) if "outcome" in table else 0
-
-
-def table(study: Study, found: pd.DataFrame) -> str:
-    """Return the table of a study as text, with units."""
-    return printed(found.drop(columns=["error"]), study.parameters, units=units_of(found))
-
-
-def warm(study: Study) -> None:
-    """Compile the kernels of the default method before the clock of the first run, if anything is to be run."""
-    status = study.status()
-    if status.done + status.failed < status.total:
-        execute.warm()
 
 
 def plan(study: Study) -> str:
     """Return the first points of a study, their status, and the number of points."""
     points = list(itertools.islice(study.design.points(), _SHOWN))
     shown = {name: [point[name] for point in points] for name in study.parameters}
-    if len(study) <= _STATUS:
-        shown["status"] = list(study.table()["status"].head(_SHOWN))
+    shown["status"] = list(study.table()["status"].head(_SHOWN))
     rest = len(study) - _SHOWN
     return "\n".join([printed(shown, study.parameters, units={}, note=f"... {rest} more" if rest > 0 else ""), "",
                       repr(study), repr(study.status())])

@@ -7,10 +7,9 @@ from adaptmg.estimate.recovery import Recovery
 from adaptmg.estimate.reference_error import EnergyError, Reference, energy_error
 from adaptmg.estimate.remesh import Remesh
 from adaptmg.estimate.residual import Residual
-from adaptmg.estimate.stress_fields import BoundaryTractions, boundary_tractions
 
-__all__ = ["BoundaryTractions", "Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Remesh",
-           "Residual", "boundary_tractions", "energy_error"]
+__all__ = ["Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Remesh", "Residual",
+           "energy_error"]
 
 
 def __dir__() -> list[str]:

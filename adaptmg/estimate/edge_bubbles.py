@@ -20,19 +20,13 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.discrete.elasticity import (
-    body_materials,
-    is_axisymmetric,
-    lame_constants,
-    plane_gradients,
-    solid_gradients,
-)
+from adaptmg.discrete.elasticity import body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
 from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import StressData
@@ -87,9 +81,24 @@ class EdgeBubbles:
 
     def actions(self, fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """a(b_E e_i, b_E e_j) (n_edges, dim, dim), and a(field, b_E e_i) (n_fields, n_edges, dim) of P1 fields."""
-        dim = self.mesh.dim
-        blocks, actions = np.zeros((len(self.edges), dim, dim)), np.zeros((len(fields), len(self.edges), dim))
-        add_bubbles(*self._elements, np.ascontiguousarray(fields), blocks, actions)
+        mesh, dim, (lame, shear) = self.mesh, self.mesh.dim, self._moduli
+        blocks = np.zeros((*self.element_edges.shape, dim, dim))
+        works = np.zeros((len(fields), *self.element_edges.shape, dim))
+        slopes = [np.einsum("nci,ncj->nij", nodal[mesh.elements], self._gradients) for nodal in fields]
+        for weight, at, r, gradients, hoop in self._points:
+            spread = gradients.copy()
+            spread[:, :, 0] += hoop
+            block = lame[:, None, None, None] * np.einsum("nki,nkj->nkij", spread, spread)
+            block += shear[:, None, None, None] * np.einsum("nki,nkj->nkij", gradients, gradients)
+            square = np.einsum("nkj,nkj->nk", gradients, gradients)
+            block += (shear[:, None] * square)[:, :, None, None] * np.eye(dim)
+            block[:, :, 0, 0] += 2 * shear[:, None] * hoop**2
+            blocks += weight[:, None, None, None] * block
+            for work, nodal, slope in zip(works, fields, slopes, strict=True):
+                around = nodal[mesh.elements, 0] @ at / r if self.axisymmetric else np.zeros(len(r))
+                work += weight[:, None, None] * self._work(slope, around, gradients, hoop)
+        blocks = self._on_edges(blocks)
+        actions = np.array([self._on_edges(work) for work in works])
         for spring in (one for one in self.problem.supports if isinstance(one, Spring)):
             facets = named_facets(self.mesh, spring.boundary)
             vectors = area_vectors(self.mesh.points, facets)
@@ -100,18 +109,56 @@ class EdgeBubbles:
 
     def stiffness(self, values: np.ndarray) -> np.ndarray:
         """a(sum of bubbles times values, b_E e_i) for values (n_edges, dim), (n_edges, dim)."""
-        result = np.zeros(values.shape)
-        apply_bubbles(*self._elements, np.ascontiguousarray(values), result)
+        local = values[self.element_edges]
+        result = np.zeros(local.shape)
+        for weight, _, _, gradients, hoop in self._points:
+            slope, around = local.swapaxes(1, 2) @ gradients, np.einsum("nk,nk->n", hoop, local[:, :, 0])
+            result += weight[:, None, None] * self._work(slope, around, gradients, hoop)
+        return self._on_edges(result)
+
+    @cached_property
+    def _moduli(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lame constants (n_elements,)."""
+        lame, shear = lame_constants(body_materials(self.mesh, self.problem.material))
+        return lame[self.mesh.element_body], shear[self.mesh.element_body]
+
+    @cached_property
+    def _gradients(self) -> np.ndarray:
+        """Gradients (n_elements, dim + 1, dim) of the barycentric coordinates."""
+        corners = self.mesh.points[self.mesh.elements]
+        others = np.linalg.inv(corners[:, 1:] - corners[:, :1]).swapaxes(1, 2)
+        return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
+
+    @cached_property
+    def _points(self) -> list[tuple[np.ndarray, ...]]:
+        """At each quadrature point weights (n_elements,), barycentric weights (dim + 1,), radii (n_elements,), and of
+        the bubbles (n_elements, k) gradients and values over r, 0 in the plane. The rule is exact for two gradients
+        but for what is over r."""
+        result = []
+        mesh, (first, second), g = self.mesh, _LOCAL[self.mesh.dim].T, self._gradients
+        rule = quadrature_rule(mesh.dim + 1, AXISYMMETRIC_DEGREE if self.axisymmetric else PLAIN_DEGREE)
+        for at, share in zip(*rule, strict=True):
+            gradients = 4 * (at[first, None] * g[:, second] + at[second, None] * g[:, first])
+            r = mesh.points[mesh.elements, 0] @ at if self.axisymmetric else np.ones(len(g))
+            over_r = self.values_at(at) / r[:, None] if self.axisymmetric else np.zeros(gradients.shape[:2])
+            weight = mesh.volumes * share * (2 * np.pi * r if self.axisymmetric else 1.0)
+            result.append((weight, at, r, gradients, over_r))
         return result
 
-    @property
-    def _elements(self) -> tuple:
-        """The arguments of both kernels; the rule is exact for two gradients of bubbles but for what is over r."""
-        mesh = self.mesh
-        lame, shear = lame_constants(body_materials(mesh, self.problem.material))
-        degree = AXISYMMETRIC_DEGREE if self.axisymmetric else PLAIN_DEGREE
-        return (mesh.points, mesh.elements, mesh.element_body, lame, shear, _LOCAL[mesh.dim], self.element_edges,
-                self.axisymmetric, *quadrature_rule(mesh.dim + 1, degree))
+    def _work(self, slope: np.ndarray, around: np.ndarray, gradients: np.ndarray, hoop: np.ndarray) -> np.ndarray:
+        """Work (n_elements, k, dim) of the stress of displacement gradients and hoop strains on the bubbles."""
+        lame, shear = self._moduli
+        pressure = lame * (np.trace(slope, axis1=1, axis2=2) + around)
+        stress = shear[:, None, None] * (slope + slope.swapaxes(1, 2)) + pressure[:, None, None] * np.eye(self.mesh.dim)
+        result = gradients @ stress
+        result[:, :, 0] += (pressure + 2 * shear * around)[:, None] * hoop
+        return result
+
+    def _on_edges(self, values: np.ndarray) -> np.ndarray:
+        """Sums (n_edges, ...) of values (n_elements, k, ...) over the elements of each edge."""
+        flat, edges = values.reshape(self.element_edges.size, -1), self.element_edges.reshape(-1)
+        sums = [np.bincount(edges, column, minlength=len(self.edges)) for column in flat.T]
+        return np.stack(sums, axis=1).reshape(len(self.edges), *values.shape[2:])
 
     def boundary_work(self, facets: np.ndarray, traction: np.ndarray) -> np.ndarray:
         """Work (n_edges, m) on the bubbles of values (n, dim, m) at the corners of facets, linear in between."""
@@ -160,17 +207,14 @@ class EdgeBubbles:
         mesh, dim = self.mesh, self.mesh.dim
         data = StressData.of(mesh, self.problem.material, self.problem.loads)
         stress = -np.diagonal(data.tensors(mesh, np.zeros(mesh.points.shape)), axis1=1, axis2=2)
-        corners = mesh.points[mesh.elements]
-        g = np.linalg.inv(corners[:, 1:] - corners[:, :1])
-        g = np.concatenate([-g.sum(axis=2, keepdims=True), g], axis=2)
         rule, weights = simplex_rule(dim, _LOAD_POINTS)
         factor = mesh.volumes[:, None] * weights
         if self.axisymmetric:
             r = quadrature_points(mesh.points, mesh.elements, rule)[:, :, 0]
             factor = factor * 2 * np.pi * r
         for k, (a, b) in enumerate(_LOCAL[dim]):
-            value = stress[:, :dim] * 4 * ((factor @ rule[:, a])[:, None] * g[:, :, b]
-                                           + (factor @ rule[:, b])[:, None] * g[:, :, a])
+            value = stress[:, :dim] * 4 * ((factor @ rule[:, a])[:, None] * self._gradients[:, b]
+                                           + (factor @ rule[:, b])[:, None] * self._gradients[:, a])
             if self.axisymmetric:
                 value[:, 0] += stress[:, 2] * ((factor / r) @ (4 * rule[:, a] * rule[:, b]))
             np.add.at(result, self.element_edges[:, k], value)
@@ -184,126 +228,6 @@ def edge_bubbles(mesh: MeshArrays, problem: ContactProblem) -> EdgeBubbles:
     edges = np.column_stack([keys // n, keys % n])
     return EdgeBubbles(mesh, problem, is_axisymmetric(body_materials(mesh, problem.material)), edges,
                        numbers.reshape(len(mesh.elements), len(local)))
-
-
-@inner_kernel
-def _gradients(points, corners, g):
-    """Write the gradients (dim + 1, dim) of the barycentric coordinates; returns the volume."""
-    return plane_gradients(points, corners, g) if points.shape[1] == 2 else solid_gradients(points, corners, g)
-
-
-@inner_kernel
-def _weight(points, corners, shape, axisymmetric):
-    """Radius at a point with barycentric weights ``shape``, and the circumference there; 1 and 1 elsewhere."""
-    if not axisymmetric:
-        return 1.0, 1.0
-    r = 0.0
-    for c in range(len(corners)):
-        r += shape[c] * points[corners[c], 0]
-    return r, 2 * np.pi * r
-
-
-@inner_kernel
-def _bubble_gradients(local, shape, g, gb):
-    """Write the gradients (k, dim) of the bubbles at a point with barycentric weights ``shape``."""
-    for k in range(len(local)):
-        first, second = local[k, 0], local[k, 1]
-        for j in range(g.shape[1]):
-            gb[k, j] = 4 * (shape[first] * g[second, j] + shape[second] * g[first, j])
-
-
-@inner_kernel
-def _stress(lame, shear, slope, hoop, sigma):
-    """Write the stress (dim, dim) of a displacement gradient and a hoop strain; returns the hoop stress."""
-    trace = hoop
-    for i in range(len(slope)):
-        trace += slope[i, i]
-        for j in range(len(slope)):
-            sigma[i, j] = shear * (slope[i, j] + slope[j, i])
-    for i in range(len(slope)):
-        sigma[i, i] += lame * trace
-    return lame * trace + 2 * shear * hoop
-
-
-@inner_kernel
-def _add_actions(w, r, axisymmetric, local, edges, shape, gb, sigma, around, result):
-    """Add the work of a stress and a hoop stress on the bubbles of an element at one point."""
-    dim = sigma.shape[0]
-    for k in range(len(local)):
-        for i in range(dim):
-            for j in range(dim):
-                result[edges[k], i] += w * sigma[i, j] * gb[k, j]
-        if axisymmetric:
-            result[edges[k], 0] += w * around * 4 * shape[local[k, 0]] * shape[local[k, 1]] / r
-
-
-@kernel
-def add_bubbles(points, elements, body, lame, shear, local, element_edges, axisymmetric, rule, weights, fields,
-                blocks, actions):
-    """Add the blocks a(b e_i, b e_j) of every edge and the actions a(field, b e_i) of every field. ``local`` (k, 2):
-    corners of an element's edges; ``fields`` (n_fields, n_nodes, dim); ``blocks`` (n_edges, dim, dim) and ``actions``
-    (n_fields, n_edges, dim) come as 0."""
-    dim, n_local = points.shape[1], len(local)
-    g, gb = np.empty((dim + 1, dim)), np.empty((n_local, dim))
-    slope, sigma = np.empty((dim, dim)), np.empty((dim, dim))
-    for e in range(len(elements)):
-        corners = elements[e]
-        volume = _gradients(points, corners, g)
-        la, mu = lame[body[e]], shear[body[e]]
-        for q in range(len(weights)):
-            r, circle = _weight(points, corners, rule[q], axisymmetric)
-            w = volume * weights[q] * circle
-            _bubble_gradients(local, rule[q], g, gb)
-            for k in range(n_local):
-                edge, square = element_edges[e, k], 0.0
-                h = 4 * rule[q, local[k, 0]] * rule[q, local[k, 1]] / r if axisymmetric else 0.0
-                for i in range(dim):
-                    square += gb[k, i] * gb[k, i]
-                for i in range(dim):
-                    di = gb[k, i] + (h if i == 0 else 0.0)
-                    for j in range(dim):
-                        dj = gb[k, j] + (h if j == 0 else 0.0)
-                        blocks[edge, i, j] += w * (la * di * dj + mu * gb[k, i] * gb[k, j])
-                    blocks[edge, i, i] += w * mu * square
-                blocks[edge, 0, 0] += w * 2 * mu * h * h
-            for f in range(len(fields)):
-                hoop = 0.0
-                slope[:] = 0.0
-                for c in range(dim + 1):
-                    if axisymmetric:
-                        hoop += rule[q, c] * fields[f, corners[c], 0] / r
-                    for i in range(dim):
-                        for j in range(dim):
-                            slope[i, j] += fields[f, corners[c], i] * g[c, j]
-                around = _stress(la, mu, slope, hoop, sigma)
-                _add_actions(w, r, axisymmetric, local, element_edges[e], rule[q], gb, sigma, around, actions[f])
-
-
-@kernel
-def apply_bubbles(points, elements, body, lame, shear, local, element_edges, axisymmetric, rule, weights, values,
-                  result):
-    """Add the actions a(sum of bubbles, b e_i) of all edges to ``result`` (n_edges, dim); ``values`` (n_edges, dim)."""
-    dim, n_local = points.shape[1], len(local)
-    g, gb = np.empty((dim + 1, dim)), np.empty((n_local, dim))
-    slope, sigma = np.empty((dim, dim)), np.empty((dim, dim))
-    for e in range(len(elements)):
-        corners = elements[e]
-        volume = _gradients(points, corners, g)
-        for q in range(len(weights)):
-            r, circle = _weight(points, corners, rule[q], axisymmetric)
-            _bubble_gradients(local, rule[q], g, gb)
-            hoop = 0.0
-            slope[:] = 0.0
-            for k in range(n_local):
-                edge = element_edges[e, k]
-                if axisymmetric:
-                    hoop += 4 * rule[q, local[k, 0]] * rule[q, local[k, 1]] / r * values[edge, 0]
-                for i in range(dim):
-                    for j in range(dim):
-                        slope[i, j] += values[edge, i] * gb[k, j]
-            around = _stress(lame[body[e]], shear[body[e]], slope, hoop, sigma)
-            _add_actions(volume * weights[q] * circle, r, axisymmetric, local, element_edges[e], rule[q], gb, sigma,
-                         around, result)
 
 
 @dataclass(frozen=True, eq=False)

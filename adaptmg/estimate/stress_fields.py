@@ -30,7 +30,6 @@ from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.discrete.loads import load_vector
-from adaptmg.discrete.mortar.interface import surface_normals
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
@@ -298,65 +297,6 @@ def posed(hierarchy: Hierarchy, result: Result) -> Posed:
     this = Posed(hierarchy.problem, mesh, discrete, result)
     this.check_loads()
     return this
-
-
-@dataclass(frozen=True, eq=False)
-class BoundaryTractions:
-    """Tractions on one boundary: of the stress at the facets, of contact at the nodes; SI units, Cartesian components.
-
-    ``contact`` is zero where nothing touches, and on boundaries without contact. Friction where a support holds the
-    node tangentially is what the law says for its slip.
-    """
-
-    facets: np.ndarray  # (n, dim) int: nodes of the facets
-    elements: np.ndarray  # (n,) int: the element behind each
-    centres: np.ndarray  # (n, dim): their midpoints, m
-    facet_normals: np.ndarray  # (n, dim): unit, out of the body
-    stress: np.ndarray  # (n, dim): sigma n at the midpoints, on the body, Pa
-    nodes: np.ndarray  # (m,) int: nodes of the boundary, ascending
-    points: np.ndarray  # (m, dim), m
-    normals: np.ndarray  # (m, dim): unit normals averaged at the nodes, out of the body
-    contact: np.ndarray  # (m, dim): contact traction on the body, Pa
-
-    @property
-    def stress_pressure(self) -> np.ndarray:
-        """Pressure -n . sigma n (n,) of the stress inside, positive in compression, Pa."""
-        return -np.sum(self.stress * self.facet_normals, axis=1)
-
-    @property
-    def pressure(self) -> np.ndarray:
-        """Contact pressure -t . n (m,) at the nodes, positive in compression, Pa."""
-        return -np.sum(self.contact * self.normals, axis=1)
-
-    @property
-    def tangential(self) -> np.ndarray:
-        """Tangential part (m, dim) of the contact traction on the body, Pa."""
-        return self.contact + self.pressure[:, None] * self.normals
-
-
-def boundary_tractions(result: Result, boundary: str) -> BoundaryTractions:
-    """Tractions on a boundary of a result; on both sides of a pair, each by its name.
-
-    TypeError or ValueError without a mesh or materials, or if there is no such boundary.
-    """
-    checks.instance("result", result, Result, "a Result")
-    mesh, data = result.mesh, result.stress_data
-    if data is None:
-        raise ValueError("result has no materials (it comes from a bare DiscreteProblem): solve on a "
-                         "Hierarchy of a ContactProblem")
-    facets = mesh.boundary_facets(boundary)
-    here = mesh.facet_labels == mesh.boundaries.index(boundary)
-    elements = neighbours(mesh).owner[here]
-    vectors = area_vectors(mesh.points, facets)
-    facet_normals = vectors / np.linalg.norm(vectors, axis=1)[:, None]
-    middle = np.full((1, mesh.dim), 1 / mesh.dim)
-    stress = element_stress(mesh, result.displacement, data).tractions(elements, facet_normals, facets, middle)[:, 0]
-    nodes = np.unique(facets)
-    touching = contact_tractions(mesh, result.contact, data.axisymmetric).get(boundary)
-    contact = np.zeros((len(nodes), mesh.dim)) if touching is None else touching.values
-    return BoundaryTractions(facets=facets, elements=elements, centres=mesh.points[facets].mean(axis=1),
-                             facet_normals=facet_normals, stress=stress, nodes=nodes, points=mesh.points[nodes],
-                             normals=surface_normals(mesh.points, facets)[nodes], contact=contact)
 
 
 #: cosine of the angle up to which one surface is the continuation of another

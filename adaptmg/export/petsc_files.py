@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 import os
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,6 +70,11 @@ def petsc(problem: Hierarchy | DiscreteProblem, directory: str | os.PathLike[str
     target = Path(os.path.realpath(checks.file_path("directory", directory)))
     _check_target(target)
     parts = [part for number, level in enumerate(problem.levels) for part in _parts_of_level(number, level)]
+    finest = problem.finest.discrete
+    manifest = {"format": _FORMAT, "problem": printable(finest.name), "dim": finest.dim, "levels": len(problem),
+                "scalars": "real, 64 bits, big-endian", "integers": "32 bits, big-endian",
+                "contact_boundaries": [printable(name) for name in finest.contact.names],
+                "versions": versions(), "files": [part.entry() for part in parts]}
     with waiting_folder(target.parent) as waiting:
         new = waiting / "new"
         new.mkdir()
@@ -79,7 +84,7 @@ def petsc(problem: Hierarchy | DiscreteProblem, directory: str | os.PathLike[str
                 # without blocks too: PETSc applies a block size that it read for one file to those read later
                 info = f"-{part.kind.lower()}load_block_size {part.block}\n"
                 write_bytes(new / f"{part.name}.petsc.info", info.encode())
-        write_bytes(new / _MANIFEST, json.dumps(_manifest(problem, parts), indent=1, ensure_ascii=False).encode())
+        write_bytes(new / _MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False).encode())
         if target.exists():
             os.replace(target, waiting / "old")
         os.replace(new, target)
@@ -103,14 +108,6 @@ def _check_target(target: Path) -> None:
     foreign = sorted({entry.name for entry in target.iterdir()} - written)
     if foreign:
         raise FileExistsError(f"directory {str(target)!r} holds other files, {foreign[0]!r} for one: give a new folder")
-
-
-def _manifest(problem: Hierarchy, parts: Sequence[Part]) -> dict[str, object]:
-    finest = problem.finest.discrete
-    return {"format": _FORMAT, "problem": printable(finest.name), "dim": finest.dim, "levels": len(problem),
-            "scalars": "real, 64 bits, big-endian", "integers": "32 bits, big-endian",
-            "contact_boundaries": [printable(name) for name in finest.contact.names],
-            "versions": versions(), "files": [part.entry() for part in parts]}
 
 
 @dataclass(frozen=True, eq=False)

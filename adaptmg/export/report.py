@@ -119,7 +119,7 @@ class _Table:
     columns: list[Column]
     rows: int
     note: str = ""
-    open: bool | None = None
+    open: bool = False
     csv: str = ""
     same: tuple[Column, ...] = ()
 
@@ -148,7 +148,7 @@ def columns_of(frame: pd.DataFrame, units: Mapping[str, str] | None = None,
 
 
 def _table(frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None, formats: Mapping[str, str] | None,
-           **options: str | bool | None) -> _Table:
+           **options: str | bool) -> _Table:
     checks.instance("table", frame, pd.DataFrame, "a pandas DataFrame")
     return _Table(_text("caption", caption, empty=False), columns_of(frame.head(LONGEST), units, formats), len(frame),
                   **options)
@@ -267,18 +267,15 @@ class Report:
         The summary stands below the title.
     terms : str
         Definitions of words; folded, below the first screen.
-    max_open : int
-        The largest number of open tables, those of the first screen included: those with ``open=True``, then the first
-        of each section without.
 
     Examples
     --------
     >>> report = am.export.Report("A bar on a plane", "What was computed, and how.")
     """
 
-    def __init__(self, title: str, summary: str = "", *, terms: str = "", max_open: int = 15) -> None:
+    def __init__(self, title: str, summary: str = "", *, terms: str = "") -> None:
         self.title, self.summary = _text("title", title, empty=False), _text("summary", summary)
-        self.terms, self.max_open = _text("terms", terms), checks.integer("max_open", max_open)
+        self.terms = _text("terms", terms)
         self._cards: list[dict[str, object]] = []
         self._sections = [_Section("", "")]
         self._made: dict[str, str] = {}
@@ -321,15 +318,14 @@ class Report:
         self._add("text", _text("text", text))
 
     def table(self, table: pd.DataFrame, caption: str, note: str = "", *, units: Mapping[str, str] | None = None,
-              formats: Mapping[str, str] | None = None, open: bool | None = None, csv: str = "") -> None:
+              formats: Mapping[str, str] | None = None, open: bool = False, csv: str = "") -> None:
         """Add a table without its index, a caption above and a note below.
 
         For ``units`` and ``formats`` by column see :func:`adaptmg.study.as_text`; a column named as an identifier is
-        written as words with a unit, 'total_s' as 'total [s]'. ``open``: whether it stands open; by default the first
-        table of a section does. ``csv`` names a CSV file of the table next to the page, for a link.
+        written as words with a unit, 'total_s' as 'total [s]'. ``open``: whether it stands open, as the first table of
+        a section does. ``csv`` names a CSV file of the table next to the page, for a link.
         """
-        if open is not None:
-            checks.flag("open", open)
+        checks.flag("open", open)
         file = PurePosixPath(_text("csv", csv))
         if file.is_absolute() or ".." in file.parts or ":" in csv or "\\" in csv:
             raise ValueError(f"csv must name a file next to the page, got {checks.shown(csv)}")
@@ -374,9 +370,6 @@ class Report:
             self._sections[-1].parts.append((kind, part))
 
     def _opened(self) -> list[_Table]:
-        """The open tables: those with ``open=True``, then the first of each section without."""
+        """The open tables: those with ``open=True``, and the first of each section."""
         tables = [[part for _, part in section.parts if isinstance(part, _Table)] for section in self._sections]
-        asked = [table for each in tables for table in each if table.open]
-        firsts = [each[0] for each in tables if each and each[0].open is None and not any(t.open for t in each)]
-        room = self.max_open - sum(card["table"] is not None for card in self._cards)
-        return [*asked, *firsts][:max(room, 0)]
+        return [table for each in tables for k, table in enumerate(each) if table.open or k == 0]

@@ -1,8 +1,8 @@
 """The report of a parameter study: the number of runs, pictures of the results, all runs, those that failed.
 
 A numeric result is drawn against the parameter that varies most, one line for each value of another parameter. Where
-several runs share a point, the line is their median and a band spans the least and the largest, or the middle half
-where there are many. Where no two runs share a value of any parameter (a random design), they are points.
+several runs share a point, the line is their median and a band spans them all. Where no two runs share a value of any
+parameter (a random design), they are points.
 """
 
 from __future__ import annotations
@@ -25,12 +25,8 @@ from adaptmg.plot.style import CYCLE, plain, styled
 
 #: columns of a study that are neither parameters nor results, and the status of runs that are drawn
 _STATUS, _ERROR, _DONE = "status", "error", "done"
-#: columns of the table that describes the results of all runs
-_SPREAD = ["result", "runs", "least", "lower quarter", "median", "upper quarter", "largest"]
 #: the largest number of characters of a text in a table, lines in a picture, marks in a line, names along an axis
 _LETTERS, _LINES, _MARKED, _NAMES = 300, 7, 60, 40
-#: with this number of runs at a point the band is their middle half, not the least and the largest
-_MANY = 10
 #: an axis is logarithmic where the largest value is at least this multiple of the least
 _LOGARITHMIC = 30.0
 
@@ -92,12 +88,7 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     axis = axes_of_study(done, parameters) if len(done) else None
     for result in drawn if axis else ():
         page.figure(curves(done, axis, result, units.get(result, ""), units.get(axis.along, "")),
-                    caption(done, axis, result))
-    if len(table) > LONGEST and varied:
-        marks = pd.DataFrame({name: numbers(done[name]) for name in varied}).describe().drop(index=["mean", "std"])
-        spread = [[label(name, units.get(name)), *(int(x) if x.is_integer() else x for x in marks[name])]
-                  for name in marks]
-        page.table(pd.DataFrame(spread, columns=_SPREAD, dtype=object), "Results of all runs that are done", open=True)
+                    caption(axis, result))
     add(table.drop(columns=[_ERROR], errors="ignore"), "All runs", csv=csv, open=True)
     failed = table.loc[table.index.difference(done.index, sort=False)]
     failed = failed[failed[_ERROR].fillna("").astype(str) != ""] if _ERROR in table else failed.head(0)
@@ -177,10 +168,10 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     data = pd.DataFrame({"x": position.to_numpy(), "y": numbers(table[result]).to_numpy(),
                          "line": _keys(table[axis.lines]).to_numpy() if axis.lines else ""})
     data = data[np.isfinite(data["x"]) & np.isfinite(data["y"])]
-    band, joined = (0.25, 0.75) if _many(table, axis) else (0.0, 1.0), axis.joined and names is None
+    joined = axis.joined and names is None
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
         color, values = CYCLE[k % len(CYCLE)], part.groupby("x")["y"]
-        median, low, high = values.median(), values.quantile(band[0]), values.quantile(band[1])
+        median, low, high = values.median(), values.min(), values.max()
         ax.plot(median.index, median, color=color, linestyle="-" if joined else "",
                 label=f"{plain(worded(axis.lines)[0])} = {_name(line)}",
                 marker="o" if len(median) <= _MARKED else "" if joined else ".")
@@ -201,18 +192,11 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     return figure
 
 
-def caption(table: pd.DataFrame, axis: Axis, result: str) -> str:
+def caption(axis: Axis, result: str) -> str:
     """Return what :func:`curves` shows."""
     lines = f", a line for each value of {worded(axis.lines)[0]}" if axis.lines else ""
-    spread = "of their middle half" if _many(table, axis) else "from the least to the largest"
     return (f"{worded(result)[0]} against {worded(axis.along)[0]}{lines}; where runs share a point their median, and "
-            f"the band {spread}")
-
-
-def _many(table: pd.DataFrame, axis: Axis) -> bool:
-    """Whether points are shared by many runs."""
-    points = pd.concat([_keys(table[name]) for name in (axis.along, axis.lines) if name], axis=1)
-    return len(table) > 0 and len(table) >= _MANY * len(points.drop_duplicates())
+            "the band from the least to the largest")
 
 
 def _scale(ax: Axes, name: str, values: pd.Series) -> None:

@@ -12,9 +12,7 @@ import gzip
 import re
 import sys
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -328,16 +326,11 @@ def _from_netgen_file(path: Path) -> MeshArrays:
     """Read a mesh of Netgen."""
     try:
         text = _unpacked(path)
-        names = _check_sections(text)
         with TemporaryDirectory() as folder:
             # unpacked, and with nothing behind its end: geometry may follow there
             plain = Path(folder, "mesh.vol")
             plain.write_bytes(text)
             points, elements, facets, label, boundaries, body, bodies = _read("read_vol", plain)
-        for what, used, numbers in (("boundary", label, names["bcnames"]), ("body", body, names["materials"])):
-            unknown = np.setdiff1d(used + 1, numbers)
-            if numbers and len(unknown):
-                raise ValueError(f"{what} number {unknown[0]} has no name in the file; give all of them names, or none")
         for name in (*boundaries, *bodies):
             checks.boundary_name("the name of a boundary or body", name)
         return check_stranger(normalised(points, elements, facets, label, boundaries, body, bodies))
@@ -362,27 +355,7 @@ def _unpacked(path: Path) -> bytes:
         raise ValueError("it does not begin with 'mesh3d'")
     if not end:
         raise ValueError("it is cut off: the keyword 'endmesh' is missing")
+    counts = map(int, re.findall(rb"^[a-z]\w*\s*\n\s*(\d+)\s*$", mesh, re.MULTILINE))
+    if max(counts, default=0) > mesh.count(b"\n"):
+        raise ValueError("a section says more lines than the file has")
     return mesh + end + b"\n"
-
-
-def _check_sections(text: bytes) -> dict[str, Sequence[int]]:
-    """ValueError unless each count is a number of lines that follow; the numbers that have names, by section."""
-    lines = text.split(b"\n")
-    start = [i for i, line in enumerate(lines) if line[:1].isalpha()]
-    names: dict[str, Sequence[int]] = {"bcnames": (), "materials": ()}
-    seen: set[str] = set()
-    for i, following in pairwise(start[1:]):
-        word, count = lines[i].decode("ascii", "replace").strip(), lines[i + 1].strip()
-        if word in seen or not re.fullmatch(rb"\d{1,10}", count):
-            raise ValueError(f"line {i + 1}: the section {word!r} comes twice, or without a number >= 0 behind it")
-        seen.add(word)
-        if word in ("dimension", "geomtype"):
-            continue
-        if int(count) > following - i - 2:
-            raise ValueError(f"line {i + 2}: the section {word!r} says {int(count)} lines, fewer follow")
-        if word in names:
-            rows = lines[i + 2:i + 2 + int(count)]
-            if not all(re.match(rb"\d{1,9}\s", row.strip() + b" ") for row in rows):
-                raise ValueError(f"line {i + 3}: a name in the section {word!r} must follow its number")
-            names[word] = [int(row.split()[0]) for row in rows]
-    return names

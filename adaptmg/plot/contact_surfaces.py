@@ -57,7 +57,7 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     3
     """
     solid = checks.instance("result", result, Result).dim == 3
-    names = chosen_boundaries(result, boundary, "boundary")
+    names = chosen_boundaries(result, boundary)
     if axes is not None:
         if len(names) != 1:
             raise ValueError(f"axes takes one contact boundary, the result has {len(names)}: choose with boundary=...")
@@ -297,14 +297,14 @@ def _finish(ax: Axes, flat: Flat) -> None:
     ax.set(aspect="equal" if flat.equal else "auto", xlabel=flat.labels[0], ylabel=flat.labels[1])
 
 
-def chosen_boundaries(result: Result, boundary: object, argument: str) -> tuple[str, ...]:
+def chosen_boundaries(result: Result, boundary: object = None) -> tuple[str, ...]:
     """Return the contact boundaries to draw: one, by its name or as a Contact or ContactPair, or all with nodes."""
     contact = result.contact
     name = getattr(boundary, "boundary", boundary)
-    names = contact.names if name is None else (checks.choice(argument, name, contact.names),)
+    names = contact.names if name is None else (checks.choice("boundary", name, contact.names),)
     drawn = tuple(n for n in names if (contact.boundary == contact.names.index(n)).any())
     if not drawn:
-        raise ValueError(f"{argument}: {', '.join(map(repr, names)) or 'this result'} has no contact nodes to draw")
+        raise ValueError(f"boundary: {', '.join(map(repr, names)) or 'this result'} has no contact nodes to draw")
     return drawn
 
 

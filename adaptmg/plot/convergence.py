@@ -22,9 +22,9 @@ _DASHES = ("-", "--", ":", "-.")
 
 
 @styled
-def history(results: Result | Mapping[str, Result], against: str = "work_units", ax: Axes | None = None, *,
-            quantity: str | None = None) -> Figure:
-    """Draw convergence histories on a logarithmic scale.
+def history(results: Result | Mapping[str, Result], against: str = "work_units", ax: Axes | None = None) -> Figure:
+    """Draw convergence histories on a logarithmic scale: of one result all that it recorded, of several the true error,
+    where all recorded it, else the natural residual, or what else all recorded.
 
     Parameters
     ----------
@@ -32,13 +32,6 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
     against : {"work_units", "cycle", "seconds"}
         Seconds are those since the solver began.
     ax : matplotlib Axes, optional
-    quantity : {"error_estimate", "true_error", "residual", "relative_change", "change"}, optional
-        Default: for one result all it recorded; for several the true error if all recorded it, else the residual.
-
-    Raises
-    ------
-    ValueError
-        If a result did not record the quantity.
 
     Examples
     --------
@@ -51,7 +44,7 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
     if not runs or not all(isinstance(r, Result) for r in runs.values()):
         raise TypeError(f"results must be a Result or a mapping of labels to Results, got {results!r}")
     checks.choice("against", against, _AGAINST)
-    quantities = _chosen(runs, quantity, several)
+    quantities = _chosen(runs, several)
     ax = canvas(ax, (6.4, 4.2))
     for k, (label, result) in enumerate(runs.items()):
         for j, name in enumerate(quantities):
@@ -79,22 +72,16 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
     return ax.figure
 
 
-def _chosen(runs: Mapping[str, Result], quantity: str | None, several: bool) -> list[str]:
-    """The quantities that every run recorded with at least one finite positive value."""
+def _chosen(runs: Mapping[str, Result], several: bool) -> list[str]:
+    """The quantities that every run recorded with at least one finite positive value; of several runs the first."""
     def recorded(result: Result, name: str) -> bool:
         values = np.asarray(result.history.get(name, ()), dtype=float)
         return bool((np.isfinite(values) & (values > 0)).any())
 
-    if quantity is not None:
-        checks.choice("quantity", quantity, _QUANTITIES)
-    names = list(_QUANTITIES if quantity is None else (quantity,))
-    if several and quantity is None:
-        names.sort(key=("true_error", "residual", *_QUANTITIES).index)
+    names = sorted(_QUANTITIES, key=("true_error", "residual", *_QUANTITIES).index) if several else _QUANTITIES
     common = [name for name in names if all(recorded(result, name) for result in runs.values())]
     if not common:
-        recorded_by = {label or result.method: [n for n in _QUANTITIES if recorded(result, n)]
-                 for label, result in runs.items()}
-        raise ValueError(f"not every result recorded {quantity or 'a common quantity'}; recorded are {recorded_by}")
+        raise ValueError("results have no quantity of the history in common")
     return common[:1] if several else common
 
 

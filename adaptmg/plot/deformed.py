@@ -17,7 +17,6 @@ from matplotlib.path import Path
 from matplotlib.tri import Triangulation
 from mpl_toolkits.mplot3d import Axes3D
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, facet_table
 from adaptmg.plot import style
@@ -31,7 +30,7 @@ _LINES_UP_TO = 8000
 @style.styled
 def deformation(result: Result, amplify: float | None = None, *, stress: bool = False, displacement: bool = False,
                 states: bool = False, bodies: Sequence[str] | None = None, lines: bool | None = None,
-                view: tuple[float, float] | None = None, ax: Axes | None = None) -> Figure:
+                ax: Axes | None = None) -> Figure:
     """Draw the deformed bodies, each in its own colour, over their outlines before; the title has the amplification.
 
     Amplified bodies seem to overlap where an initial gap has closed, and to part where they only slid; with
@@ -54,10 +53,8 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
         Names of the bodies shown; default all. In 3D the others hide the contact surfaces.
     lines : bool, optional
         Whether to draw the edges of the elements; by default up to 8000 of them (in 3D, 6000 surface triangles).
-    view : (elevation, azimuth), optional
-        Direction of view in 3D, degrees; default (22, -58).
     ax : matplotlib Axes, optional
-        In 3D with ``projection="3d"``.
+        In 3D with ``projection="3d"``, where ``ax.view_init(elevation, azimuth)`` turns the picture.
 
     Examples
     --------
@@ -72,8 +69,6 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     ax = style.canvas(ax, _size(scene), result.dim)
     if result.dim == 3:
         present = _draw_solid(ax, scene, lines, states)
-        if view is not None:
-            ax.view_init(*check_arrays.vector("view", view, 2))
     else:
         _draw_plane(ax, scene, scene.n_elements <= _LINES_UP_TO if lines is None else lines)
         present = _draw_states(ax, scene) if states else set()

@@ -23,7 +23,7 @@ _COLUMNS = 4
 @styled
 def load_history(results: Sequence[Result], factors: ArrayLike,
                  quantities: Mapping[str, Callable[[Result], float]], *, against: str = "load factor",
-                 pair: object = None, steps: int = 8) -> Figure:
+                 steps: int = 8) -> Figure:
     """Draw quantities against the load factor, and below them the contact pressure of single steps.
 
     Parameters
@@ -36,11 +36,9 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
         Label of the axis, with its unit, to a function of a Result that returns a number; one panel each.
     against : str
         The label of ``factors``, with their unit.
-    pair : str or ContactPair, optional
-        The slave boundary of the pair whose pressure is drawn; by default a row of pictures for each pair.
     steps : int
-        The largest number of steps drawn for each pair: the first, the last, that of the largest pressure, those where
-        ``factors`` turn, and others between them; 0 for none. The title says how many are left out.
+        The largest number of steps drawn for each contact boundary: the first, the last, that of the largest pressure,
+        those where ``factors`` turn, and others between them; 0 for none. The title says how many are left out.
 
     Examples
     --------
@@ -54,7 +52,7 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
     results, factors = _checked(results, factors)
     against = label_text(checks.instance("against", against, str))
     rows = _evaluate(results, quantities)
-    names = chosen_boundaries(results[-1], pair, "pair") if checks.integer("steps", steps) else ()
+    names = chosen_boundaries(results[-1]) if checks.integer("steps", steps) else ()
     if not rows and not names:
         raise ValueError("nothing to draw: give quantities, or steps > 0")
     shown = _shown(results, factors, steps) if names else ()

@@ -525,15 +525,3 @@ def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None
     modes = np.column_stack([rotate(mode, local.frames, local.system.nodes) for mode in modes.T])
     modes[local.system.fixed if released is None else local.system.fixed | released] = 0.0
     return modes
-
-
-def glued_system(discrete: DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray]:
-    """Return matrix, load and near-nullspace with all contact dofs fixed: the yardstick for algebraic multigrid."""
-    local = local_system(discrete)
-    free = np.flatnonzero(local.system.contact_of < 0)
-    if not len(free):
-        raise ValueError("every node is a contact node: the glued problem is empty")
-    dofs = (discrete.dim * free[:, None] + np.arange(discrete.dim)).reshape(-1)
-    matrix = sparse.csr_array(local.system.matrix)[dofs][:, dofs]
-    matrix = sparse.bsr_array(matrix, blocksize=(discrete.dim, discrete.dim)).sorted_indices()
-    return matrix, local.load[dofs], local_near_nullspace(local)[dofs]

@@ -1,8 +1,7 @@
 """Runs on workers of dask.distributed: on processes of this machine, or on a cluster of the user.
 
-A run is sent when a worker is free, so that the run of a worker that dies is identified; short runs, where the way to
-the worker would count, are sent several a worker as long as none has died. A run whose worker died is tried again.
-Results come back through dask: workers need no disk in common with this process.
+A run is sent when a worker is free, so that the run of a worker that dies is identified. A run whose worker died is
+tried again. Results come back through dask: workers need no disk in common with this process.
 
 Only this process decides that a run is over a limit: its clock starts when the worker reports that the run begins, and
 a plugin in dask's nannies reports the memory of their workers. The run is cancelled, the nanny kills the process, even
@@ -49,6 +48,7 @@ from adaptmg.study.execute import (
     Finished,
     Order,
     Point,
+    RunFunction,
     Task,
     UnfitWorker,
     error_text,
@@ -62,8 +62,6 @@ _log = logging.getLogger(__name__)
 
 #: starts of a run until it counts as failed, as workers died
 MOST_TRIES = 3
-#: seconds that runs which are sent ahead may take together
-_SHORT_S = 0.2
 #: seconds that a cluster may take to have a worker, between two looks, and for a scheduler to answer
 PATIENCE_S, _LOOK_S, CONNECT_S = 60.0, 0.5, 10.0
 #: looks without a process of this machine until the study gives up
@@ -156,15 +154,17 @@ def _wait_for_one(client: Client, address: str) -> None:
 
 
 @functools.lru_cache(maxsize=8)
-def _unpacked(order: bytes) -> Order:
-    return pickle.loads(order)
+def _ready(order: bytes) -> tuple[RunFunction, bool]:
+    """Return the run function of an order, checked, and whether it uses adaptmg."""
+    unpacked = pickle.loads(order)
+    return readied(unpacked), unpacked.fingerprint.uses_adaptmg
 
 
 def _on_worker(order: bytes, point: Point, tries: int, name: str, topic: str) -> Finished:
     """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts. A function
     that holds Python's lock would keep a report that is only on its way."""
     worker = get_worker()
-    return perform(_unpacked(order), point, tries, lambda: topic and sync(
+    return perform(*_ready(order), point, tries, lambda: topic and sync(
         worker.loop, worker.scheduler.log_event, topic=topic, msg={"run": name, "worker": worker.address}))
 
 
@@ -224,15 +224,14 @@ class _Runs:
         self._alone: deque[tuple[Point, int]] = deque()
         self._out: dict[str, _Run] = {}
         self._back: queue.SimpleQueue[tuple[str, Finished | BaseException]] = queue.SimpleQueue()
-        self._slots, self._looked, self._died = 1, -math.inf, False
-        self._recent: deque[float] = deque(maxlen=8)
+        self._slots, self._looked = 1, -math.inf
         #: how often dask itself starts a run again; unless set otherwise three times
         self._allowed = 3
 
     @property
     def running(self) -> int:
-        """Number of runs that are out, without those that wait at their worker."""
-        return min(len(self._out), self._slots)
+        """Number of runs that are out."""
+        return len(self._out)
 
     def finished(self) -> Iterator[list[tuple[Point, Finished]]]:
         """Yield runs as they finish, those of one moment together."""
@@ -275,20 +274,13 @@ class _Runs:
         now = time.monotonic()
         if now - self._looked > 1.0:
             self._slots, self._looked = max(len(self._client.nthreads()), 1), now
-        while (self._left and len(self._out) < self._ahead() * self._slots) or (self._alone and not self._out):
+        while (self._left and len(self._out) < self._slots) or (self._alone and not self._out):
             point, tries = (self._left or self._alone).popleft()
             name = f"{self._name}-{next(self._numbers)}"
             future = self._client.submit(_on_worker, self._order, point, tries, name, self._name * self._limited,
                                          key=name, pure=False)
             self._out[name] = _Run(point, tries, time.monotonic(), future)
             self._client.loop.add_callback(self._wait_for, name, future)
-
-    def _ahead(self) -> int:
-        """Number of runs that a worker gets together: more than one while they are short and no worker has died."""
-        if self._died or self._allowed or self._limited or not self._recent:
-            return 1
-        known = len(self._recent) == self._recent.maxlen
-        return min(max(int(_SHORT_S / max(*self._recent, 0.02)), 1), 10 if known else 2)
 
     async def _wait_for(self, name: str, future: Future) -> None:
         """Fetch the result of a run, in the thread of dask (as_completed sleeps .1 s where it misses a wake-up)."""
@@ -358,11 +350,9 @@ class _Runs:
         """Return the outcome of a run; None if it is tried again."""
         run = self._out.pop(name)
         if isinstance(result, Finished):
-            self._recent.append(result.seconds)
             return run.point, result
         seconds = time.monotonic() - run.sent
         if isinstance(result, KilledWorker):
-            self._died = True
             # dask itself starts a run again as often as the scheduler allows
             tries = run.tries + result.allowed_failures
             if run.tries >= MOST_TRIES:

@@ -64,6 +64,8 @@ Execute = Callable[[Task, Sequence[Point]], Iterator[list[tuple[Point, Finished]
 
 def in_turn(task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, Finished]]]:
     """Run after run, in this process."""
+    if task.fingerprint.uses_adaptmg:
+        warm()
     try:
         for point in points:
             yield [(point, compute(task.function, point))]
@@ -175,18 +177,10 @@ def identity() -> dict[str, str]:
     return environment() | {name: importlib.metadata.version(name) for name in ("cloudpickle", "dask", "distributed")}
 
 
-_MOST_FUNCTIONS = 32
-#: run functions by their bytes and fingerprint
-_functions: dict[tuple[bytes, str], RunFunction] = {}
-
-
 def readied(order: Order) -> RunFunction:
     """Check this process against the one of the study, and unpack the run function. Modules that are loaded here may
     have been edited since, and values that a script set in a module are not here: the function would compute something
     else under the fingerprint of the study."""
-    known = order.function, order.fingerprint.code
-    if known in _functions:
-        return _functions[known]
     here = identity()
     if different := [f"{name} {here.get(name, 'none')} instead of {value}" for name, value in order.identity.items()
                      if here.get(name) != value]:
@@ -202,9 +196,6 @@ def readied(order: Order) -> RunFunction:
         raise UnfitWorker(f"it would compute something else than this process ({', '.join(changes[:5])}): bring the "
                           "same files there and start the worker again; give values that a script sets in a module as "
                           "parameters or fixed={...}")
-    while len(_functions) >= _MOST_FUNCTIONS:
-        del _functions[next(iter(_functions))]
-    _functions[known] = function
     return function
 
 
@@ -218,12 +209,11 @@ def warm() -> None:
         am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)), am.FullMultigrid(), throw=False)
 
 
-def perform(order: Order, point: Point, tries: int, begin: Callable[[], None]) -> Finished:
+def perform(function: RunFunction, uses_adaptmg: bool, point: Point, tries: int, begin: Callable[[], None]) -> Finished:
     """Compute one run on a worker; ``begin`` is called when its clock starts."""
     import cloudpickle
 
-    function = readied(order)
-    if order.fingerprint.uses_adaptmg:
+    if uses_adaptmg:
         warm()
     begin()
     finished = compute(function, point, interruptible=False)

@@ -15,7 +15,7 @@ import os
 import sqlite3
 import threading
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
@@ -23,7 +23,7 @@ from typing import cast
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder
 from adaptmg._text import printable
-from adaptmg.study.record import Record, Scalar, Value, canonical, restored
+from adaptmg.study.record import Record, Scalar, canonical, restored
 
 Cell = str | int | float
 _FORMAT = 2
@@ -44,7 +44,6 @@ _TABLES = (
     "CREATE TABLE origins (code TEXT PRIMARY KEY, parts TEXT NOT NULL)",
     f"PRAGMA user_version = {_FORMAT}")
 _PUT = f"INSERT OR REPLACE INTO runs (study, {_NAMES}) VALUES ({', '.join('?' * (len(_COLUMNS) + 1))})"
-_CHOSEN = "WHERE study = ? AND (? IS NULL OR status = ?)"
 #: seconds to wait for another process that writes
 _PATIENCE_S = 60.0
 #: remedies by a part of SQLite's message
@@ -62,8 +61,6 @@ class Store:
         self.path = None if path is None else Path(os.path.realpath(checks.file_path("store", path)))
         self._called = "the store in memory" if self.path is None else printable(os.fspath(self.path))
         self._lock = threading.RLock()
-        #: rows that an interrupt kept from being written
-        self._waiting: dict[tuple[Cell, ...], tuple[Cell, ...]] = {}
         if self.path is not None:
             make_folder("store", self.path.parent)
             if self.path.exists() and not self.path.is_file():
@@ -136,29 +133,21 @@ class Store:
         self.put_all(study, [record])
 
     def put_all(self, study: str, records: Sequence[Record], parts: dict[str, str] | None = None) -> None:
-        """Write runs in one transaction; ``parts`` are those of their fingerprint."""
+        """Write runs in one transaction, which Ctrl-C does not prevent; ``parts`` are those of their fingerprint."""
         rows = [(study, *_row(record)) for record in records]
-        self._waiting |= {row[:2]: row for row in rows}
+        origins = [] if parts is None else [(code, json.dumps(parts)) for code in {record.code for record in records}]
         try:
-            with self._explained():
-                self._check_there()
-                with self._connection as connection:
-                    connection.executemany(_PUT, self._waiting.values())
-                    if parts is not None:
-                        codes = {record.code for record in records}
-                        connection.executemany("INSERT OR IGNORE INTO origins VALUES (?, ?)",
-                                               [(code, json.dumps(parts)) for code in codes])
-        except KeyboardInterrupt:
+            self._write(rows, origins)
+        except KeyboardInterrupt:  # it undid the transaction
+            self._write(rows, origins)
             raise
-        except BaseException:
-            self._waiting = {}
-            raise
-        self._waiting = {}
 
-    def flush(self) -> None:
-        """Write the rows that an interrupt kept from being written."""
-        if self._waiting:
-            self.put_all("", ())
+    def _write(self, rows: Sequence[tuple[Cell, ...]], origins: Sequence[tuple[str, str]]) -> None:
+        with self._explained():
+            self._check_there()
+            with self._connection as connection:
+                connection.executemany(_PUT, rows)
+                connection.executemany("INSERT OR IGNORE INTO origins VALUES (?, ?)", origins)
 
     # reading
 
@@ -166,11 +155,10 @@ class Store:
         """Return all runs of a study in the order of storing, by their canonical parameters."""
         return {canonical(record.parameters): record for record in self.runs(study)}
 
-    def runs(self, study: str, status: str | None = None, limit: int | None = None) -> list[Record]:
-        """Return runs of a study in the order of storing; those of a status, at most ``limit``."""
-        with self._explained():  # the index has the rows in another order
-            rows = self._connection.execute(f"SELECT {_NAMES} FROM runs NOT INDEXED {_CHOSEN} ORDER BY rowid LIMIT ?",
-                                            (study, status, status, -1 if limit is None else limit)).fetchall()
+    def runs(self, study: str) -> list[Record]:
+        """Return the runs of a study in the order of storing."""
+        # the index has the rows in another order
+        rows = self._select(f"SELECT {_NAMES} FROM runs NOT INDEXED WHERE study = ? ORDER BY rowid", study)
         return [self._record(study, row) for row in rows]
 
     def _record(self, study: str, row: Sequence[Cell]) -> Record:
@@ -179,10 +167,6 @@ class Store:
         except _DAMAGE as error:
             raise ValueError(f"{self._called} is damaged: the run {checks.shown(row[0])} of the study {study!r} cannot "
                              f"be read ({error}): delete that row, or give another file") from error
-
-    def count(self, study: str, status: str | None = None) -> int:
-        """Return the number of runs of a study, and of a status."""
-        return self._select(f"SELECT count(*) FROM runs {_CHOSEN}", study, status, status)[0][0]
 
     def studies(self) -> list[str]:
         """Return the names of the studies."""
@@ -193,14 +177,6 @@ class Store:
         return self._select("SELECT study, sum(status = 'done'), sum(status = 'failed'), total(seconds), max(finished) "
                             "FROM runs GROUP BY study ORDER BY study")
 
-    def varying(self, study: str, first: Mapping[str, Value]) -> list[str]:
-        """Return the parameters of a run that another run of its study lacks, or has with another value. The canonical
-        texts are searched for the piece of a name and its value: no JSON is read."""
-        other = "SELECT 1 FROM runs WHERE study = ? AND instr(parameters, ? || ',') = 0 " \
-                "AND instr(parameters, ? || '}') = 0 LIMIT 1"
-        pieces = {name: canonical({name: value})[1:-1] for name, value in first.items()}
-        return [name for name, piece in pieces.items() if self._select(other, study, piece, piece)]
-
     def origins(self) -> dict[str, dict[str, str]]:
         """Return the parts of the stored fingerprints, by the fingerprint."""
         rows = self._select("SELECT code, parts FROM origins")
@@ -210,7 +186,7 @@ class Store:
             raise ValueError(f"{self._called} is damaged: its table 'origins' cannot be read ({error}): give another "
                              "file") from error
 
-    def _select(self, query: str, *values: str | None) -> list:
+    def _select(self, query: str, *values: str) -> list:
         with self._explained():
             return self._connection.execute(query, values).fetchall()
 

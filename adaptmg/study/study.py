@@ -249,7 +249,6 @@ class Study:
                             raise outcome.exception or RuntimeError(outcome.error)
         finally:
             runs.close()
-            self._store.flush()
             self._learn(found)
 
     def _record(self, point: Point, outcome: Finished, found: Fingerprint, versions: dict[str, str]) -> Record:

@@ -30,8 +30,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg import _checks as checks
-
 
 @dataclass(frozen=True, eq=False)
 class Supports:
@@ -100,17 +98,17 @@ def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     return sets.injected(opening, np.inf)
 
 
-def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = None, *,
-                angle: float = 1e-6) -> np.ndarray:
+#: slips in 3D count as parallel up to this angle, rad
+_PARALLEL = 1e-6
+
+
+def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = None) -> np.ndarray:
     """Safe reference slips U_k (n_coarse_contact, dim - 1) of the tangential correction, m.
 
     0 unless all slips u_t - u_t^previous (n_fine_contact, dim - 1) in S_k have one sign (3D: one direction) and none is
-    zero or in ``stick`` (n_fine_contact,), else the shortest; 0 where S_k is empty. In 3D slips within ``angle`` (rad,
-    below pi/2) of the shortest count as parallel to it; the guarantee then holds up to
-    angle * ``sum_i g_i sum_k P_ik |E_k|``.
+    zero or in ``stick`` (n_fine_contact,), else the shortest; 0 where S_k is empty. In 3D slips within 1e-6 rad of the
+    shortest count as parallel to it; the guarantee then holds up to 1e-6 ``sum_i g_i sum_k P_ik |E_k|``.
     """
-    if not 0 <= checks.number("angle", angle) < np.pi / 2:
-        raise ValueError(f"angle must be >= 0 and below pi/2, got {angle!r}")
     slip = slip if stick is None else np.where(stick[:, None], 0.0, slip)
     if slip.shape[1] == 1:
         # one of the two is 0 unless all have one sign
@@ -126,7 +124,7 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     this, best = slip[sets.nodes], slip[shortest[coarse]]
     dot = this[:, 0] * best[:, 0] + this[:, 1] * best[:, 1]
     cross = this[:, 0] * best[:, 1] - this[:, 1] * best[:, 0]
-    other = ~(dot > 0.0) | (np.abs(cross) > np.sin(angle) * (size[shortest[coarse]] * size[sets.nodes]))
+    other = ~(dot > 0.0) | (np.abs(cross) > np.sin(_PARALLEL) * (size[shortest[coarse]] * size[sets.nodes]))
     parallel = filled & (np.bincount(coarse[other], minlength=len(sets.main)) == 0)
     return np.where(parallel[:, None], slip[shortest], 0.0)
 

@@ -213,14 +213,12 @@ def without_fixed(matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = T
     return matrix
 
 
-def aggregated_prolongations(matrix: sparse.bsr_array, near_nullspace: np.ndarray | None, fixed: np.ndarray, *,
-                             strength: float = 0.0, max_coarse: int = 300, max_levels: int = 10
-                             ) -> list[sparse.csr_array]:
+def aggregated_prolongations(matrix: sparse.bsr_array, near_nullspace: np.ndarray | None, fixed: np.ndarray,
+                             max_coarse: int) -> list[sparse.csr_array]:
     """Prolongations of dofs by smoothed aggregation (Vanek, Mandel, Brezina 1996, doi:10.1007/BF02238511).
 
     Coarse to fine, (n_dofs, n_dofs coarse) each, none if the matrix is small. Without modes the translations are taken;
-    ``strength`` is the drop tolerance of the strength of connection, ``max_coarse`` bounds the nodes of the coarsest
-    level.
+    ``max_coarse`` bounds the nodes of the coarsest level.
     """
     import pyamg
 
@@ -230,7 +228,7 @@ def aggregated_prolongations(matrix: sparse.bsr_array, near_nullspace: np.ndarra
     modes = np.where(fixed[:, None], 0.0, near_nullspace)
     with one_blas_thread(), seeded():
         made = pyamg.smoothed_aggregation_solver(
-            sparse.bsr_matrix(without_fixed(matrix, fixed)), B=modes, strength=("symmetric", {"theta": strength}),
-            max_coarse=max_coarse, max_levels=max_levels)
+            sparse.bsr_matrix(without_fixed(matrix, fixed)), B=modes, strength=("symmetric", {"theta": 0.0}),
+            max_coarse=max_coarse, max_levels=10)
     found = [sparse.csr_array(level.P) for level in made.levels[:-1]]
     return found[::-1]

@@ -333,21 +333,17 @@ def _size_ratios(coarse: MeshArrays, fine: MeshArrays, step: int) -> np.ndarray:
     return np.concatenate(ratios)
 
 
-def mesh_ratio(coarse: MeshArrays, fine: MeshArrays, *, quantile: float = 1.0) -> float:
+def mesh_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
     """Largest local ratio h_coarse / h_fine; two-level rates suffer above about 3.
 
     For each fine element: the longest edge of the coarse element that holds its centroid, over its own longest edge.
-    ``quantile`` 1 takes the largest; .99 leaves out the hundredth of the fine elements with the largest ratios, in
-    which a single flat element cannot hide what holds elsewhere.
     """
-    if not 0 <= checks.number("quantile", quantile) <= 1:
-        raise ValueError(f"quantile must lie in [0, 1], got {quantile!r}")
-    return float(np.quantile(_size_ratios(coarse, fine, 1), quantile))
+    return float(_size_ratios(coarse, fine, 1).max())
 
 
-def size_ratio(coarse: MeshArrays, fine: MeshArrays, quantile: float = 0.99) -> float:
-    """The 99 % quantile of :func:`mesh_ratio`, of large meshes over a sample of the elements.
+def size_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
+    """The 99 % quantile of what :func:`mesh_ratio` is the largest of, of large meshes over a sample of the elements.
 
     Levels of an adaptive hierarchy are kept by it: at most about 4.
     """
-    return float(np.quantile(_size_ratios(coarse, fine, max(1, len(fine.elements) // _SAMPLE)), quantile))
+    return float(np.quantile(_size_ratios(coarse, fine, max(1, len(fine.elements) // _SAMPLE)), 0.99))

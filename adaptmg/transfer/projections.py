@@ -21,6 +21,7 @@ from typing import TypeVar
 import numpy as np
 from scipy import sparse
 
+from adaptmg._check_arrays import narrowed
 from adaptmg._runtime import inner_kernel, kernel
 from adaptmg.geometry.clipping import PIECES, SNAP, common_moments
 from adaptmg.geometry.location import affine_maps
@@ -258,19 +259,17 @@ class MixedMass:
     patches: Patches  # of the fine mesh
 
     def assemble(self, coefficients: np.ndarray) -> sparse.csr_array:
-        """Sum over patches."""
-        patches, shape = self.patches, (self.fine.n_nodes, self.coarse.n_nodes)
-        indptr = np.zeros(shape[0] + 1, dtype=np.int64)
-        marker = np.full(shape[1], -1, dtype=np.int64)
-        count_rows(patches.indptr, patches.elements, self.indptr, self.columns, marker, indptr)
-        np.cumsum(indptr, out=indptr)
-        indices, data = np.empty(indptr[-1], dtype=np.int32), np.zeros(indptr[-1])
-        marker[:] = -1
-        fill_rows(patches.indptr, patches.elements, coefficients, self.indptr, self.columns, self.values, marker,
-                  indptr, indices, data)
-        result = sparse.csr_array((data, indices, indptr.astype(np.int32)), shape=shape)
+        """Sum over patches: the product of the coefficients and the integrals, whose rows are corners of elements."""
+        k, patches = self.fine.dim + 1, self.patches
+        rows = k * (len(self.indptr) - 1)
+        corners = k * np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr))[:, None] + np.arange(k)
+        integrals = sparse.csr_array((self.values.ravel(), (corners.ravel(), np.repeat(self.columns, k))),
+                                     shape=(rows, self.coarse.n_nodes))
+        given = sparse.csr_array((coefficients.ravel(), (k * patches.elements[:, None] + np.arange(k)).ravel(),
+                                  k * patches.indptr), shape=(self.fine.n_nodes, rows))
+        result = given @ integrals
         result.sort_indices()
-        return result
+        return narrowed(result)
 
     def shape_coefficients(self) -> np.ndarray:
         """Coefficients that test with the shape function of the node: a_iek = 1 at the corner i of e, else 0."""
@@ -417,35 +416,3 @@ def _add_entries(coarse_corners, mu, moments, marker, count, columns, values):
                 total += moments[i, v] * mu[v, m]
             values[at, i] += total
     return count
-
-
-@kernel
-def count_rows(node_indptr, node_elements, indptr, columns, marker, counts):
-    """Number of distinct coarse nodes in the patch of each fine node i, to ``counts[i + 1]``; ``marker`` is -1."""
-    for i in range(len(node_indptr) - 1):
-        for p in range(node_indptr[i], node_indptr[i + 1]):
-            e = node_elements[p]
-            for at in range(indptr[e], indptr[e + 1]):
-                if marker[columns[at]] != i:
-                    marker[columns[at]] = i
-                    counts[i + 1] += 1
-
-
-@kernel
-def fill_rows(node_indptr, node_elements, coefficients, indptr, columns, values, marker, row_indptr, indices, data):
-    """Sum coefficients times integrals over the patch of each fine node; ``marker`` is -1, ``data`` 0."""
-    k = coefficients.shape[1]
-    for i in range(len(node_indptr) - 1):
-        first = row_indptr[i]
-        used = first
-        for p in range(node_indptr[i], node_indptr[i + 1]):
-            e = node_elements[p]
-            for at in range(indptr[e], indptr[e + 1]):
-                place = marker[columns[at]]
-                if place < first:
-                    place = used
-                    marker[columns[at]] = place
-                    indices[place] = columns[at]
-                    used += 1
-                for v in range(k):
-                    data[place] += coefficients[p, v] * values[at, v]

@@ -42,13 +42,10 @@ def test_a_study_too_long_to_be_shown_says_what_came_out_of_all(tmp_path):
     frame = table(2000).assign(method="word " * 200)
     page = written(tmp_path, frame, csv="runs.csv", parameters=["sweeps", "friction"])
     assert "12\u202f000 runs: 11\u202f999 done" in page.text("p") and "12\u202f000 rows" in page.text("span")
-    assert "All rows as CSV" in page.text("a") and len(page.all("details", "table")) == 3
-    assert {"least", "median", "largest"} <= set(page.text("th").split())
-    # seeds 0 to 1999, six times each but for one that failed: whole numbers are written as such
-    assert page.text("td").split()[:5] == ["0", "500", "1000", "1500", "1999"]
+    assert "All rows as CSV" in page.text("a") and len(page.all("details", "table")) == 2
     assert "word " * 30 in page.text("p", "td") and "word " * 70 not in page.text("p", "td")
     drawn = [a["alt"] for a in page.all("img")]
-    assert all("middle half" in label for label in drawn) and drawn
+    assert all("from the least to the largest" in label for label in drawn) and drawn
 
 
 @pytest.mark.parametrize("frame", [table().head(0), table().head(1), table().assign(status="failed"),
@@ -90,9 +87,6 @@ def test_lines_are_medians_and_bands_span_the_runs():
     assert ax.lines[0].get_ydata().tolist() == [2.0, 5.0]
     band = ax.collections[0].get_paths()[0].vertices[:, 1]
     assert band.min() == 1.0 and band.max() == 9.0
-    many = pd.DataFrame({"a": [1] * 101 + [2] * 101, "r": [*range(101)] * 2})
-    band = curves(many, Axis("a", ""), "r").axes[0].collections[0].get_paths()[0].vertices[:, 1]
-    assert band.min() == 25.0 and band.max() == 75.0  # of many runs the middle half
 
 
 def test_bad_arguments_are_refused(tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 from hostile_table import Hostile
 
 import adaptmg as am
-from adaptmg.estimate import Doerfler, Reference, Remesh, Residual, boundary_tractions, energy_error
+from adaptmg.estimate import Doerfler, Reference, Remesh, Residual, energy_error
 from adaptmg.mesh import merged, structured
 
 NAN = float("nan")
@@ -157,9 +157,7 @@ def _errors():
     results = {"text": lambda: "r", "bare": _bare}
     yield from _rows("error of", lambda v: energy_error((_grids(), _result()), v()), "result",
                      results | {"pair": _patch})
-    yield from _rows("tractions of", lambda v: boundary_tractions(v(), "bottom"), "result", results)
     yield from _rows("own_error", lambda v: Reference.of(_grids(), _result(), own_error=v), "own_error", (-1.0, True))
-    yield from _rows("tractions on", lambda v: boundary_tractions(_result(), v), "boundary", ("nowhere", ["bottom"]))
 
 
 def _levels():

@@ -66,7 +66,7 @@ def _options():
     both = {"sizes and divisions": ("--sizes=1e-2", "--divisions=4", "--divisions"),
             "ratio alone": ("--contact-ratio=2", "--divisions=4", "--contact-ratio"),
             "ratio below one": ("--contact-ratio=0.5", "--sizes=1e-2", "ratio"),
-            "ratio huge": ("--contact-ratio=1e300", "--sizes=1e-2", "--contact-ratio"),
+            "ratio huge": ("--contact-ratio=1e300", "--sizes=1e-2", "take larger sizes"),
             "useless option": ("--solver=active-set", "--omega=1", "--omega"),
             "law without friction": ("--law=coulomb", "--divisions=2", "--friction"),
             "two laws": ("--friction=1", "--limit=1", "belongs to --law tresca"),

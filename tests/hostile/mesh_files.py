@@ -21,7 +21,7 @@ VOL_DAMAGE = {
     "elements 10**9": ("surfaceelements\n2", "surfaceelements\n1000000000"),
     "elements fewer": ("surfaceelements\n2", "surfaceelements\n1"),
     "points 10**9": ("points\n4", "points\n1000000000"), "points fewer": ("points\n4", "points\n3"),
-    "points missing": ("points\n", "nothing\n"), "points twice": ("materials", "points"),
+    "points missing": ("points\n", "nothing\n"),
     "coordinate nan": (" 2 1 0", " nan 1 0"), "coordinate missing": (" 2 1 0", " 2 1"),
     "not plane": (" 2 1 0", " 2 1 3"), "folded over": (" 2 1 0", " -1 1 0"),
     "dimension 3": ("dimension\n2", "dimension\n3"), "segment node": (" 1 0 1 2", " 1 0 1 99"),

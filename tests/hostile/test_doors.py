@@ -112,7 +112,7 @@ DOORS = {
     am.Hierarchy.from_meshes: {"problem": bar, "meshes": lambda: [mesh()], "transfer": am.L2(), "contact_rows": True},
     am.Hierarchy.bisected: {"problem": bar, "coarsest": mesh, "levels": 2}, am.Hierarchy.single: {"discrete": discrete},
     am.Hierarchy.from_prolongations: {"discrete": discrete, "prolongations": [np.eye(3)]},
-    am.Hierarchy.algebraic: {"discrete": discrete, "strength": 0.0, "max_coarse": 9},
+    am.Hierarchy.algebraic: {"discrete": discrete, "max_coarse": 9},
     grids().append: {"mesh": mesh}, grids().without: {"level": 1}, grids().truncated: {"coarsest": 0},
     discrete: {"law": am.Coulomb(0.3), "contact": contact(), "name": "a", "bodies": {}},
     contact: {"allow_interference": False, "names": ("a",), "masters": ("b",)},

@@ -55,8 +55,9 @@ def test_history_compares_results_by_a_common_quantity():
     ax = plot.history({"a": PLANE, "b": PLANE}, against="cycle").axes[0]
     assert ax.get_ylabel().startswith("natural residual") and {x.get_label() for x in ax.lines} >= {"a", "b"}
     assert plot.history({"a": PLANE, "b": short}).axes[0].get_ylabel().startswith("estimated error")
+    empty = result_on(square(4), history={"cycle": [1], "work_units": [1.0]})
     for arguments, options, error, message in (
-            ({"a": PLANE, "b": short}, {"quantity": "residual"}, ValueError, "not every result recorded residual"),
+            ({"a": PLANE, "b": empty}, {}, ValueError, "in common"),
             (PLANE, {"against": "time"}, ValueError, "against"), ({"a": 1}, {}, TypeError, "Result")):
         with pytest.raises(error, match=message):
             plot.history(arguments, **options)

@@ -124,7 +124,7 @@ def test_states_color_the_slave_surface():
         assert inks[tuple(color)] == state_at[tuple(np.round(segment[k % 2], 9))]
     assert len(drawn.get_segments()) == 2 * (len(c) - 1)
     assert {"open", "slip", "stick"} <= set(words(ax.figure).split("\n"))
-    assert "stick" in words(plot.deformation(SOLID, states=True, bodies=["upper"], view=(-20, 30)))
+    assert "stick" in words(plot.deformation(SOLID, states=True, bodies=["upper"]))
 
 
 @pytest.mark.parametrize("result", [PLANE, SOLID], ids=["2D", "3D"])

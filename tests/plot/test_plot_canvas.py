@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from made import result_on, square
 from made_bodies import STEEL, two_bodies
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import adaptmg as am
@@ -37,6 +38,11 @@ def adapted(case: am.ContactProblem, size: float, nodes: int) -> list[am.Step]:
     return list(am.adapt(case, size, engine=am.Bisect(), max_nodes=nodes))
 
 
+def turned(figure: Figure) -> Figure:
+    figure.axes[0].view_init(-20, 30)
+    return figure
+
+
 PICTURES = {
     "problem 2D": lambda: plot.problem(am.cases.incline()),
     "problem 3D": lambda: plot.problem(solids(), mesh=SOLID.mesh),
@@ -47,7 +53,7 @@ PICTURES = {
     "contact 3D": lambda: plot.contact(SOLID),
     "deformation 2D stress": lambda: plot.deformation(PLANE, stress=True, states=True),
     "deformation 3D stress": lambda: plot.deformation(SOLID, stress=True, states=True),
-    "deformation 3D from below": lambda: plot.deformation(SOLID, displacement=True, view=(-20, 30)),
+    "deformation 3D from below": lambda: turned(plot.deformation(SOLID, displacement=True)),
     "history": lambda: plot.history({"truncated": PLANE, "a long label of a method": SOLID}),
     "path": lambda: plot.path(result_on(square(4)), steps=8),
     "load_history 2D": lambda: plot.load_history(steps_of(PLANE), FACTORS, QUANTITIES),

@@ -15,13 +15,23 @@ from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh.structured import structured
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver import factorisation
-from adaptmg.solver.active_set import glued_system
+from adaptmg.solver.active_set import local_near_nullspace
 from adaptmg.solver.factorisation import condense, graph_coordinates, nested_dissection, node_graph
 
 
 def bar(divisions: int, problem: am.ContactProblem | None = None) -> DiscreteProblem:
     problem = problem or am.cases.greco_bar()
     return am.discretise(problem, structured(problem.domain, divisions))
+
+
+def glued_system(discrete: DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray]:
+    """Matrix, load and near-nullspace with all contact dofs fixed."""
+    local = local_system(discrete)
+    free = np.flatnonzero(local.system.contact_of < 0)
+    dofs = (discrete.dim * free[:, None] + np.arange(discrete.dim)).reshape(-1)
+    matrix = sparse.csr_array(local.system.matrix)[dofs][:, dofs]
+    matrix = sparse.bsr_array(matrix, blocksize=(discrete.dim, discrete.dim)).sorted_indices()
+    return matrix, local.load[dofs], local_near_nullspace(local)[dofs]
 
 
 def skewed(matrix: sparse.bsr_array) -> sparse.bsr_array:
@@ -129,23 +139,6 @@ def test_a_hierarchy_is_kept_while_few_dofs_are_released():
         other = modes.copy()
         other[np.flatnonzero(modes.any(axis=1))[:changed]] = 0.0
         assert (am.AMG().setup(matrix, other, previous=first).hierarchy is first.hierarchy) is kept
-
-
-def test_glued_system_is_the_stiffness_at_free_dofs():
-    discrete = bar(6)
-    matrix, load, modes = glued_system(discrete)
-    away = np.setdiff1d(np.arange(discrete.n_nodes), discrete.contact.nodes)
-    dofs = (2 * away[:, None] + np.arange(2)).ravel()
-    fixed, dense = discrete.fixed[dofs], matrix.toarray()
-    whole = discrete.matrix.toarray()[np.ix_(dofs, dofs)]
-    assert np.array_equal(dense[np.ix_(~fixed, ~fixed)], whole[np.ix_(~fixed, ~fixed)])
-    assert not (dense[np.ix_(fixed, ~fixed)].any() or load[fixed].any() or modes[fixed].any())
-    assert np.array_equal(load[~fixed], discrete.load[dofs][~fixed])
-    assert np.array_equal(modes[~fixed], discrete.near_nullspace[dofs][~fixed])
-    # where every node touches nothing is
-    everywhere = ContactNodes(nodes=np.arange(49), normals=np.tile([0.0, -1.0], (49, 1)), gaps=np.zeros(49))
-    with pytest.raises(ValueError, match="every node is a contact node"):
-        glued_system(replace(discrete, contact=everywhere, law=am.Frictionless(), fixed=np.zeros(98, dtype=bool)))
 
 
 def contact_dofs(local: LocalProblem) -> np.ndarray:

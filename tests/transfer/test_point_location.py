@@ -116,8 +116,7 @@ test_failures_name_the_argument = refused(
     (lambda: PointLocator(MESHES["disk"]).locate(np.array([[0.5, 0.5], [np.nan, 0]])), "must be finite; point 1"),
     (lambda: PointLocator(bare([[0, 0], [1, 0], [0, 1], [2, 0]], [[0, 1, 2], [0, 1, 3]])), "element 1 has no volume"),
     (lambda: PointLocator(bare([[0, 0]], np.zeros((0, 3)))), "no elements"),
-    (lambda: PointLocator(two_boxes(3, 2), body=2), "body 2 of the mesh has no elements"),
-    (lambda: mesh_ratio(structured(1, 2), structured(2, 2), quantile=2), "quantile"))
+    (lambda: PointLocator(two_boxes(3, 2), body=2), "body 2 of the mesh has no elements"))
 
 
 def test_coincident_centroids_do_not_confuse_the_tree():
@@ -140,7 +139,5 @@ def test_mesh_ratio_sees_a_local_jump():
     coarse, fine = structured(8, 2), log_graded(3000, 4)
     assert mesh_ratio(coarse, fine) > 200
     assert mesh_ratio(coarse, structured(16, 2)) == pytest.approx(2)
-    assert mesh_ratio(coarse, fine, quantile=0.1) < mesh_ratio(coarse, fine, quantile=0.9) < mesh_ratio(coarse, fine)
     # the hundredth that differs most is left out
-    assert size_ratio(coarse, fine) == mesh_ratio(coarse, fine, quantile=0.99) < mesh_ratio(coarse, fine)
-    assert size_ratio(coarse, fine, quantile=0.5) == mesh_ratio(coarse, fine, quantile=0.5)
+    assert 100 < size_ratio(coarse, fine) < 0.9 * mesh_ratio(coarse, fine)

@@ -82,7 +82,7 @@ def test_slips_by_hand(slip, stick, expected):
 def test_slips_in_the_plane_by_hand():
     slip = np.array([[3.0, 0], [1, 1e-8], [2, 0], [0, 2], [0, 1]])
     np.testing.assert_array_equal(minmod_slip(LINE, slip), [[1, 1e-8], [0, 0], [0, 1], [0, 0]])
-    np.testing.assert_array_equal(minmod_slip(LINE, slip, angle=1e-9)[0], [0, 0])
+    np.testing.assert_array_equal(minmod_slip(LINE, slip + np.array([0, 1e-5]))[0], [0, 0])
     np.testing.assert_array_equal(minmod_slip(LINE, slip * [[1], [-1], [1], [1], [1]])[0], [0, 0])
     np.testing.assert_array_equal(minmod_slip(LINE, slip, np.arange(5) == 4)[2], [0, 0])
     np.testing.assert_array_equal(injected_slip(LINE, slip), [[3, 0], [2, 0], [0, 1], [0, 0]])
@@ -102,5 +102,4 @@ def test_supports():
 test_failures_name_the_argument = refused(
     *((lambda bad=bad: supports(sparse.csr_array([[1.5, bad]])), "P_cc must be >= 0") for bad in (-0.5, np.nan)),
     *((lambda call=call: call(LINE, np.zeros(4)), "one value a fine contact node is needed, 5, got 4")
-      for call in (smallest_gap, largest_gap, injected_gap)),
-    (lambda: minmod_slip(LINE, np.zeros((5, 2)), angle=2), "angle must be"))
+      for call in (smallest_gap, largest_gap, injected_gap)))
