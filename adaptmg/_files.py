@@ -30,7 +30,9 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     path = Path(path).expanduser()
     target = Path(os.path.realpath(path))
     try:
-        status = path.stat() if path.exists() else None
+        status = None
+        with contextlib.suppress(FileNotFoundError):  # but not a circle of links, say
+            status = path.stat()
         if os.fspath(path) in _STREAMS:
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()  # printed text comes first
