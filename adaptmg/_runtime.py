@@ -4,7 +4,8 @@ Kernels are compiled once per machine. numba keeps them next to the source or in
 be written they go to a folder of this user for temporary files, and a damaged or full cache costs a compilation, not
 the run. numba builds a way in from Python and one from C for each function: the second is never used, and the first
 only for functions that Python calls, so the first solve on a machine compiles a tenth less without them. Nor is what
-kernels call compiled for each of them (:class:`_Flags`), and :mod:`adaptmg._ahead` compiles on a second core.
+kernels call compiled for each of them (:class:`_Flags`), or optimised alone (:class:`_Linked`), and
+:mod:`adaptmg._ahead` compiles on a second core.
 
 BLAS runs on one thread inside the package: sums over two threads differ in the last digits, and small dense
 factorisations lose more to starting threads than they gain.
@@ -35,7 +36,7 @@ import numpy as np
 from llvmlite import binding as llvm
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Flags
+from numba.core.compiler import Compiler, Flags
 from numba.core.dispatcher import _FunctionCompiler
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import rtsys
@@ -53,7 +54,8 @@ def kernel(function: Callable | None = None, *, cache: bool = True, **options: o
     test before each division would take time, here and in the compilation. Other threads of Python run meanwhile."""
     if function is None:
         return partial(kernel, cache=cache, **options)
-    compiled = numba.njit(**{"no_cfunc_wrapper": True, "error_model": "numpy", "nogil": True} | options)(function)
+    compiled = numba.njit(**{"no_cfunc_wrapper": True, "error_model": "numpy", "nogil": True,
+                             "pipeline_class": Pipeline} | options)(function)
     if isinstance(compiled, CPUDispatcher):  # NUMBA_DISABLE_JIT compiles nothing
         compiled._compiler.__class__ = _Compiler
         if cache:
@@ -88,6 +90,42 @@ class _Flags(Flags):
             if not hasattr(flags, "_key"):
                 flags._key = _of_calls(flags)
         return self._key == other._key
+
+
+class _Library(JITCodeLibrary):
+    """The code of a kernel. numba also prepares passes for each function that is only declared."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes, builder = self._codegen._function_pass_manager()
+                passes.run(function, builder)
+
+
+class _Linked(_Library):
+    """The code of a function that only kernels call. They link and optimise it: no machine code is made of it alone."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+        linked = self._get_module_for_linking()
+        # numba fills these
+        names = [one.name for one in linked.global_variables if "NumbaEnv" in one.name]
+        self._final_module = llvm.parse_assembly("\n".join(f'@"{name}" = common global ptr null' for name in names))
+        super()._finalize_final_module()
+
+
+class Pipeline(Compiler):
+    """Compiles kernels and what they call into these libraries."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, arguments: Any, result: Any, flags: Any, *more: Any
+                 ) -> None:
+        library = (_Linked if flags.no_cpython_wrapper else _Library)(target.codegen(), "kernel")
+        library.enable_object_caching()
+        super().__init__(typing, target, library, arguments, result, flags, *more)
 
 
 _HASH = hash(Flags())  # numba's is the same for all

@@ -14,6 +14,8 @@ from collections.abc import Callable
 import numpy as np
 from numba.extending import register_jitable
 
+from adaptmg._runtime import Pipeline
+
 ZERO = {1: (0.0,), 2: (0.0, 0.0), 3: (0.0, 0.0, 0.0)}
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
@@ -24,7 +26,7 @@ def in_loop(function: Callable) -> Callable:
     """Let kernels call a function in their loops: it is inlined and compiled as its caller is. (Cached by itself, it
     would be compiled once for callers with and without fused multiply-adds.)"""
     return register_jitable(forceinline=True, error_model="numpy", no_cpython_wrapper=True,
-                            no_cfunc_wrapper=True)(function)
+                            no_cfunc_wrapper=True, pipeline_class=Pipeline)(function)
 
 
 @in_loop
