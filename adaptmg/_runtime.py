@@ -4,7 +4,7 @@ Kernels are compiled once per machine. numba keeps them next to the source or in
 be written they go to a folder of this user for temporary files, and a damaged or full cache costs a compilation, not
 the run. numba builds a way in from Python and one from C for each function: the second is never used, and the first
 only for functions that Python calls, so the first solve on a machine compiles a tenth less without them. Nor is what
-kernels call compiled for each of them (:class:`_Flags`), or optimised alone (:class:`_Linked`), and
+kernels call compiled for each of them (:class:`_Flags`), or into machine code alone (:class:`_Linked`), and
 :mod:`adaptmg._ahead` compiles on a second core.
 
 BLAS runs on one thread inside the package: sums over two threads differ in the last digits, and small dense
@@ -104,10 +104,13 @@ class _Library(JITCodeLibrary):
 
 
 class _Linked(_Library):
-    """The code of a function that only kernels call. They link and optimise it: no machine code is made of it alone."""
+    """The code of a function that only kernels call. They link it: no machine code is made of it alone."""
+
+    inlined = False
 
     def _optimize_final_module(self) -> None:
-        pass
+        if not self.inlined:  # else its callers do
+            super()._optimize_final_module()
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
@@ -125,6 +128,7 @@ class Pipeline(Compiler):
                  ) -> None:
         library = (_Linked if flags.no_cpython_wrapper else _Library)(target.codegen(), "kernel")
         library.enable_object_caching()
+        library.inlined = flags.forceinline
         super().__init__(typing, target, library, arguments, result, flags, *more)
 
 
