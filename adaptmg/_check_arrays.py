@@ -9,9 +9,17 @@ from __future__ import annotations
 from typing import TypeVar
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg._checks import real_array, shown
+
+# scipy takes all that numpy lists, and with it modules that it does not use: a twelfth of the first solve of a process
+_listed = np.__all__, np.__dir__
+np.__all__ = [name for name in np.__all__ if name not in ("f2py", "testing")]
+np.__dir__ = lambda: np.__all__
+try:
+    from scipy import sparse
+finally:
+    np.__all__, np.__dir__ = _listed
 
 _COMPRESSED = ("csr", "csc", "bsr")
 Compressed = sparse.csr_array | sparse.csc_array | sparse.bsr_array

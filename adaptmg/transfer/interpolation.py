@@ -153,8 +153,10 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
         strides = np.cumprod([1, *(m + 1 for m in below.counts)])
         lowest = np.concatenate([stride * q for stride, (q, _) in zip(strides, places, strict=False)])
         shares = np.concatenate([r / n for (_, r), n in zip(places, above.counts, strict=True)])
-        arguments.append((node, column, np.array(above.counts) + 1, strides, lowest, shares, indptr))
-        node, column = node + math.prod(n + 1 for n in above.counts), column + int(strides[-1])
+        end = node + math.prod(n + 1 for n in above.counts)
+        arguments.append((node, end, column, np.array(above.counts) + 1, strides, lowest, shares,
+                          *np.zeros((2, len(strides)), dtype=np.int64), np.empty(len(strides)), indptr))
+        node, column = end, column + int(strides[-1])
     for own in arguments:
         _lattice_rows(*own, np.empty(0, dtype=np.int32), np.empty(0))
     np.cumsum(indptr, out=indptr)
@@ -167,14 +169,13 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
 
 
 @kernel
-def _lattice_rows(node, start, sides, strides, lowest, shares, indptr, indices, data):
-    """Rows of interpolation for a lattice with ``sides`` nodes along its axes, from ``node`` on; only their lengths,
-    one place further, if ``data`` is empty. Along the axes, one after the other, ``lowest`` are the places below in the
-    coarse lattice, which begins with node ``start``, times its ``strides``, and ``shares`` the parts of a cell beyond.
-    """
+def _lattice_rows(node, end, start, sides, strides, lowest, shares, place, axis, share, indptr, indices, data):
+    """Rows of interpolation for a lattice with ``sides`` nodes along its axes, from ``node`` to ``end``; only their
+    lengths, one place further, if ``data`` is empty. Along the axes, one after the other, ``lowest`` are the places
+    below in the coarse lattice, which begins with node ``start``, times its ``strides``, and ``shares`` the parts of a
+    cell beyond. ``place``, zeros before and after, ``axis`` and ``share`` (dim + 1,) are overwritten."""
     dim = len(sides)
-    axis, share, place = np.empty(dim + 1, dtype=np.int64), np.zeros(dim + 1), np.zeros(dim, dtype=np.int64)
-    for i in range(node, node + sides.prod()):
+    for i in range(node, end):
         column, first = start, 0
         for k in range(dim):
             at = first + place[k]
