@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from adaptmg import _ahead
-from adaptmg._runtime import _Flags
+from adaptmg._runtime import _Flags, _Linked, inner_kernel, kernel
 from adaptmg.mesh import improve
 
 FIRST_SOLVE = Path(__file__).parents[1] / "helpers" / "first_solve.py"
@@ -77,3 +77,12 @@ def test_flags_that_change_nothing_in_a_called_function_do_not_compile_it_again(
     alike, other = (_Flags(), _Flags()), _Flags()
     alike[0].no_cpython_wrapper, other.fastmath = True, {"contract"}
     assert alike[0] == alike[1] and hash(alike[0]) == hash(alike[1]) and alike[0] != other
+
+
+def test_functions_of_kernels_alone_have_no_machine_code_and_are_linked():
+    inner = inner_kernel(lambda x: 2.0 * x, cache=False)
+    outer = kernel(lambda x: inner(x) + 1.0, cache=False)
+    assert outer(3.0) == 7.0
+    (compiled,) = inner.overloads.values()
+    assert type(compiled.library) is _Linked
+    assert list(compiled.library.get_defined_functions()) == []
