@@ -224,7 +224,7 @@ class _Line:
 def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (k, m) of the motions that supports leave free, and those (n_contact, dim, m) of contact nodes."""
     nodes, fixed = problem.contact.nodes, problem.fixed.reshape(-1, problem.dim)
-    held = np.flatnonzero(fixed.any(axis=1))
+    held = np.unique(np.flatnonzero(fixed) // problem.dim)
     modes = problem.near_nullspace_at(np.concatenate([held, nodes]))
     if modes is None or not len(nodes):
         return np.empty((0, 0)), np.empty((len(nodes), problem.dim, 0))

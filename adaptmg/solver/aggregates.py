@@ -152,7 +152,7 @@ class Aggregates:
         bodies = int(group.max()) + 1
         if problem.coupling is not None:
             group[problem.contact.nodes] += bodies
-        group[problem.fixed.reshape(n, dim).all(axis=1)] = -1
+        group[problem.fixed.reshape(n, dim).T.copy().all(axis=0)] = -1
         size, depth = _SIZE[dim]
         if n > _MANY:
             size = max(_LARGE, n // _MOST[dim])
