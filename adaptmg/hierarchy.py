@@ -152,7 +152,8 @@ class Hierarchy:
             See :meth:`from_meshes`.
         mesher : {"bisection", "netgen"}
             What makes small elements: in the plane a triangulation without Netgen, in space bisection of a coarse mesh
-            of Netgen, one a level, and improvement of shapes; or Netgen alone, which takes ten times as long.
+            (of boxes our own, of other solids Netgen's, one a level) and improvement of shapes; or Netgen alone, which
+            takes ten times as long.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import graded

@@ -21,7 +21,6 @@ from adaptmg import _checks as checks
 from adaptmg._runtime import say
 from adaptmg.estimate.bisect import Bisect
 from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
-from adaptmg.estimate.goal import Goal
 from adaptmg.estimate.loop import AdaptiveLoop, Parts, Progress
 from adaptmg.estimate.loop_store import LoopStore, loop_fingerprint
 from adaptmg.estimate.remesh import Remesh
@@ -66,9 +65,7 @@ def adapt(problem: ContactProblem,
     mark : Doerfler, Maximum or an object with ``mark(estimate) -> mask of elements``, optional
         Default ``Doerfler()``.
     engine : Remesh, Bisect or an object with ``refine(problem, mesh, estimate, marked, max_nodes=None)``, optional
-        See :class:`adaptmg.estimate.step.Engine`. Default ``Remesh()``, for a :class:`adaptmg.Goal`
-        ``Remesh(refinements=0)``, and ``Bisect()`` for a problem without a domain, which in 3D is several times
-        quicker.
+        See :class:`adaptmg.estimate.step.Engine`. Default ``Remesh()``; ``Bisect()`` for a problem without a domain.
     tolerance : float, optional
         Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity, and :attr:`Step.settled`).
     max_nodes : int, optional
@@ -115,8 +112,7 @@ def adapt(problem: ContactProblem,
         max_nodes = _NODES
     limits = Limits(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds)
     if engine is None:
-        # errors of single quantities scatter less on Netgen's own meshes
-        engine = Bisect() if problem.domain is None else Remesh(refinements=0 if isinstance(indicator, Goal) else 1)
+        engine = Bisect() if problem.domain is None else Remesh()
     parts = Parts(Residual() if indicator is None else indicator, Doerfler() if mark is None else mark, engine,
                   solver, load_path, adapt_on)
     _check(parts)

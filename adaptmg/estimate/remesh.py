@@ -1,4 +1,4 @@
-r"""Remesh: the next mesh of an adaptive loop made by Netgen, with sizes that equilibrate the error.
+r"""Remesh: the next mesh of an adaptive loop made from scratch, with sizes that equilibrate the error.
 
 Each mesh is independent of the one before: not nested in it, coarser where the error is small, with nodes on the
 curves of the domain. Linear elements of size h in d dimensions have :math:`\eta_E^2 \sim h^{2+d}`. Equal squares
@@ -34,8 +34,8 @@ from adaptmg.level import meshed_domain
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
 
-#: growth of sizes per distance; in space at most what Netgen copes with, in refined meshes 2^k times less
-_GRADATION, _MAX_GRADING = 0.3, 0.6
+#: growth of sizes per distance
+_GRADATION = 0.3
 #: share of the nodes by which a mesh may miss the expected number without being made again
 _MISSED = 0.15
 #: the part of ``max_nodes`` that is aimed at; how many meshes before it grow alike, by which part of a step more
@@ -63,9 +63,6 @@ class Remesh:
         Bounds of new over old size, 0 < ``finest`` < 1 <= ``coarsest``. At strong singularities sizes have to fall by
         4 and more from mesh to mesh; the loop then puts a level between. Measured true errors at equal nodes, .1 over
         .25: .90 to .97 (upset block, flat punch), else equal.
-    refinements : int
-        In space Netgen makes a mesh of :math:`2^{-3k}` of the nodes, which is refined k times uniformly. With more than
-        one refinement sizes grow more slowly. Plane meshes are made without Netgen and are not refined.
 
     Examples
     --------
@@ -76,7 +73,6 @@ class Remesh:
     growth: float = 3.2
     finest: float = 0.1
     coarsest: float = 1.5
-    refinements: int = 1
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.positive, "growth", "finest", "coarsest")
@@ -85,7 +81,6 @@ class Remesh:
         if not self.finest < 1 <= self.coarsest:
             raise ValueError(f"finest and coarsest must satisfy 0 < finest < 1 <= coarsest, got {self.finest!r} and "
                              f"{self.coarsest!r}")
-        object.__setattr__(self, "refinements", checks.integer("refinements", self.refinements, 0, 4))
 
     def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: object = None,
                max_nodes: int | None = None) -> MeshArrays:
@@ -117,11 +112,8 @@ class Remesh:
                       ) -> np.ndarray:
         """Sizes (n_nodes,) for a mesh of about ``aim`` nodes, m."""
         sizes = equilibrated_sizes(mesh, estimate.squares, aim, finest=self.finest, coarsest=self.coarsest,
-                                   growth=self._growth(mesh.dim))
-        return _resolving(mesh, sizes, problem.pair_boundaries, self._growth(mesh.dim))
-
-    def _growth(self, dim: int) -> float:
-        return _GRADATION if dim == 2 else min(_GRADATION, _MAX_GRADING / 2**self.refinements)
+                                   growth=_GRADATION)
+        return _resolving(mesh, sizes, problem.pair_boundaries, _GRADATION)
 
     def intermediate(self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays) -> MeshArrays:
         """A mesh between two neighbouring levels whose sizes differ too much: by the geometric mean of both sizes.
@@ -129,21 +121,15 @@ class Remesh:
         A size ratio of q between the two becomes about the root of q to either side.
         """
         need_domain(problem)
-        return self.mesh(problem, mean_sizes(coarse, fine, self._growth(fine.dim)))
+        return self.mesh(problem, mean_sizes(coarse, fine, _GRADATION))
 
     def mesh(self, problem: ContactProblem, field: SizeField) -> MeshArrays:
         """A mesh of the problem's domain by a size field."""
         from adaptmg.mesh import sized
-        from adaptmg.mesh.resized import PointSizes, resized
 
-        domain, growth = meshed_domain(problem), self._growth(field.mesh.dim)
-        if field.mesh.dim == 2:
-            functions = {body: field.function(body) for body in field.mesh.bodies}
-            return sized(domain, functions if len(functions) > 1 else functions.popitem()[1],
-                         float(field.sizes.max()), grading=growth)
-        sizes = {body: PointSizes(*sample) for body, sample in field.samples().items()}
-        return resized(domain, sizes if len(sizes) > 1 else sizes.popitem()[1], refinements=self.refinements,
-                       grading=growth * 2**self.refinements)
+        functions = {body: field.function(body) for body in field.mesh.bodies}
+        return sized(meshed_domain(problem), functions if len(functions) > 1 else functions.popitem()[1],
+                     float(field.sizes.max()), grading=_GRADATION)
 
 
 def need_domain(problem: ContactProblem) -> None:
@@ -319,16 +305,6 @@ class SizeField:
             return np.einsum("ij,ij->i", place.weights, self.sizes[mesh.elements[place.element]])
 
         return at
-
-    def samples(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """The sizes at nodes and centroids: by body, points (n, dim), m, and the sizes (n,) there, m."""
-        mesh, result = self.mesh, {}
-        for index, body in enumerate(mesh.bodies):
-            elements = mesh.elements[mesh.element_body == index]
-            nodes = np.unique(elements)
-            result[body] = (np.concatenate([mesh.points[nodes], mesh.points[elements].mean(axis=1)]),
-                            np.concatenate([self.sizes[nodes], self.sizes[elements].mean(axis=1)]))
-        return result
 
 
 def mean_sizes(coarse: MeshArrays, fine: MeshArrays, growth: float) -> SizeField:

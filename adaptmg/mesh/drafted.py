@@ -1,7 +1,9 @@
-r"""drafted: tetrahedra by a size field, made of a coarse draft of Netgen that is refined and improved in arrays.
+r"""drafted: tetrahedra by a size field, made of a coarse draft that is refined and improved in arrays.
 
-Netgen's draft has edges of k (near 2 or 4) times the field f, which may then grow k times as fast; it is the only
-part that is not nested in other meshes, and takes :math:`k^{-3}` of the time that Netgen would take for the whole.
+Of a box the draft is cells as large as the field anywhere, of other solids Netgen's mesh with edges of k (near 2, 4
+or 7) times the field f, which may then grow k times as fast. It takes :math:`k^{-3}` of the time that Netgen would take
+for the whole, and is the only part that is not nested in other meshes.
+
 With the size e of an element (the edge of the equilateral one of the same volume) and the mean w of f at its corners,
 it is refined until no element has :math:`e > \sqrt 2 w` and almost no boundary facet is longer than 1.4 f (also where
 no element is too large: one facet of twice the length next to a re-entrant corner doubles the rate of multigrid). All

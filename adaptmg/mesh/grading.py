@@ -1,11 +1,12 @@
-r"""graded and sized: independent Netgen meshes that are finer where contact is expected, or where a size field says.
+r"""graded and sized: independent meshes that are finer where contact is expected, or where a size field says.
 
 The size field of :func:`graded`, for a bulk size H, a contact ratio q and a grading g, is
 
 .. math:: h(x) = \min\bigl(H,\; H/q + g \,\mathrm{dist}(x, \text{contact boundaries})\bigr).
 
-Plane domains are triangulated here (:mod:`adaptmg.mesh.triangulate`). Netgen meshes the others, and a plane domain if
-it is asked to or triangulation fails. It fails itself, or takes minutes, where sizes differ by more than about 16 in a
+Plane domains are triangulated here (:mod:`adaptmg.mesh.triangulate`). A box is cut into cells of the largest size of
+the field, which are refined to it and improved (:mod:`adaptmg.mesh.drafted`). Netgen meshes the others, and these if it
+is asked to or triangulation fails. It fails itself, or takes minutes, where sizes differ by more than about 16 in a
 coarse mesh: sizes up to that ratio are asked from Netgen, and the rest is bisected, until no element and no boundary
 facet is larger than sqrt(2) times the field, by the edge of the equilateral one of the same volume. Bisection makes
 sizes jump by halves; :func:`sized` with more than two rounds lets Netgen go on by itself, eight times the ratio a
@@ -18,7 +19,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -29,11 +30,10 @@ from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.bisection.tables import as_initial
 from adaptmg.mesh.domains import check_domain, distance_to_boundaries, in_edges, plane_measures
 from adaptmg.mesh.drafted import drafted
-from adaptmg.mesh.netgen_guard import NetgenUnfinished, netgen
+from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,
     SizeField,
-    equilateral_sizes,
     expected_nodes,
     finished,
     growth,
@@ -45,29 +45,24 @@ from adaptmg.mesh.netgen_plane import (
     unreachable,
 )
 from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
-from adaptmg.mesh.step import step_contents, step_mesh, step_shapes
-from adaptmg.mesh.structured import boundaries_of, merged, per_body
+from adaptmg.mesh.step import SizeFunction, step_contents, step_mesh, step_shapes
+from adaptmg.mesh.structured import body_centred, boundaries_of, merged, per_body
 from adaptmg.mesh.triangulate import Untriangulated, triangulated
-from adaptmg.problem.plane_domains import Domain
+from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 
 _LOG = logging.getLogger(__name__)
-SizeFunction = float | Callable[[np.ndarray], np.ndarray]
 
 _NETGEN_RATIO = 16.0
 # by which sizes may fall further in each round after the second, and the factor to the field for Netgen then: its
 # triangles have about 1.2 times the edges they are asked for
 _FURTHER, _FACTOR = 8.0, 0.85
-#: how many times larger than wanted the elements of a draft of a box may be, nodes that it has at least, and the least
-#: mean shape of its elements (long ones across thin parts keep theirs when they are refined); near powers of two, whose
-#: children fit best, but not these: levels with halved sizes would come from one draft
-_FACTORS, _LEAST, _SHAPE = (4, 1.8, 1), 30, 0.55
+#: places along each side where the largest size in a box is looked for; how flat cells may be
+_LOOKS, _FLAT = 9, 1e3
+#: of the field, which elements may exceed by sqrt(2) and those of cells do alike: then by its root at most
+_CLOSER = 2**-0.25
 #: elements across a body by default, coarse to fine, and along a plane contact boundary of the finest mesh
 _ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, 64
-# by how much coarser still the mesh is at whose nodes and centroids Netgen is given the sizes of a draft
-_FIRST = 2
-# growth of sizes in a draft at most: tetrahedra get flat where they grow faster
-_GROWTH = 0.6
 MESHERS = ("bisection", "netgen")
 
 
@@ -92,9 +87,10 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     rounds : int
         How often Netgen meshes again by the size field (for ratios above 1; not of solids).
     mesher : {"bisection", "netgen"}
-        What makes small elements: in space bisection of a coarse mesh by Netgen and improvement of shapes, which take a
-        tenth of the time, in the plane a triangulation without Netgen, which takes a fiftieth; or Netgen alone. Solids
-        with faces other than planes, cylinders, cones, spheres and tori are left to Netgen.
+        What makes small elements: in space bisection of a coarse mesh (of Netgen, of boxes our own) and improvement of
+        shapes, which take a tenth to a twentieth of the time, in the plane a triangulation without Netgen, which takes
+        a fiftieth; or Netgen alone. Solids with faces other than planes, cylinders, cones, spheres and tori are left to
+        Netgen.
 
     Returns
     -------
@@ -169,35 +165,24 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
     if isinstance(domain, SolidDomain):
         return solid_mesh(domain, size, dict.fromkeys(names, near), grading, mesher=mesher)
     # before Netgen works for minutes on a mesh that bisection would then find too large
-    nodes = refuse_too_many(guessed_nodes(domain, size, dict.fromkeys(names, near) if ratio > 1 else {}, grading),
-                            domain)
+    refuse_too_many(guessed_nodes(domain, size, dict.fromkeys(names, near) if ratio > 1 else {}, grading), domain)
     # the ratio asked from Netgen is the wanted one over a power of two: what bisection then makes up exactly
     start = near * 2 ** max(0, math.ceil(math.log2(ratio / _NETGEN_RATIO)))
 
-    def field(x: np.ndarray, contact_size: float = near, growth: float = grading) -> np.ndarray:
+    def field(x: np.ndarray, contact_size: float = near) -> np.ndarray:
         return (np.full(len(x), size) if ratio == 1 else
-                np.minimum(size, contact_size + growth * distance_to_boundaries(domain, names, x)))
+                np.minimum(size, contact_size + grading * distance_to_boundaries(domain, names, x)))
 
-    if domain.dim == 2 and mesher == "bisection" and (mesh := _plane(domain, field)) is not None:
+    if mesher == "bisection" and (mesh := _own(domain, field)) is not None:
         return mesh
-
-    def draft(factor: float) -> MeshArrays:
-        growth = min(1.0, max(grading, min(_GROWTH, factor * grading)))
-        sides = dict.fromkeys(names, factor * start) if ratio > 1 else {}
-
-        def scaled(x: np.ndarray) -> np.ndarray:
-            return factor * field(x, start, growth / factor)
-
-        again = rounds if ratio > 1 else 0
-        if mesher == "netgen":
-            return netgen_mesh(domain, scaled, factor * size, sides, growth, again)
-        return netgen_mesh(domain, [scaled] * again, factor * size, sides, growth, again, _FIRST)
-
-    return _made(domain, nodes, draft, field, mesher)
+    again, sides = (rounds, dict.fromkeys(names, start)) if ratio > 1 else (0, {})
+    return _bisected_to(netgen_mesh(domain, lambda x: field(x, start), size, sides, grading, again), field, domain)
 
 
-def _plane(domain: Domain, field: SizeField, growth: float | None = None) -> MeshArrays | None:
-    """The mesh of a plane domain, None if triangulation fails."""
+def _own(domain: Domain, field: SizeField, growth: float | None = None) -> MeshArrays | None:
+    """The mesh of a plane domain or a box, None if triangulation fails."""
+    if isinstance(domain, Box):
+        return finished(domain, drafted(domain, _cells(domain, field), lambda mesh: _CLOSER * field(mesh.points)))
     try:
         return finished(domain, triangulated(domain, field, growth))
     except Untriangulated as error:
@@ -205,28 +190,23 @@ def _plane(domain: Domain, field: SizeField, growth: float | None = None) -> Mes
         return None
 
 
-def _made(domain: Domain, nodes: float, draft: Callable[[float], MeshArrays], field: SizeField, mesher: str
-          ) -> MeshArrays:
-    """A mesh of about ``nodes`` nodes of the coarsest draft that has enough elements and good shapes."""
-    if mesher == "netgen" or domain.dim == 2:
-        return _bisected_to(draft(1), field, domain)
-    for factor in _FACTORS:
-        if factor == 1 or nodes > _LEAST * factor**3:
-            try:
-                coarse = draft(factor)
-                if factor == 1 or _shape(coarse) > _SHAPE:
-                    return finished(domain, drafted(domain, coarse, lambda mesh: field(mesh.points)))
-            except NetgenUnfinished:
-                raise
-            except ValueError:
-                if factor == 1:
-                    raise
-    raise AssertionError
-
-
-def _shape(mesh: MeshArrays) -> float:
-    """Mean of the size over the longest edge: 1 where all elements are equilateral."""
-    return float((equilateral_sizes(mesh.points, mesh.elements) / mesh.element_sizes).mean())
+def _cells(domain: Box, field: SizeField) -> MeshArrays:
+    """A box in cells whose tetrahedra have about the largest size of a field."""
+    sides = domain.upper - domain.lower
+    looks = np.indices([_LOOKS] * 3).reshape(3, -1).T / (_LOOKS - 1)
+    sizes = field(domain.lower + looks * sides)
+    # halved so many times they have the least size
+    size = float(sizes.min()) * 2.0 ** np.rint(np.log2(sizes.max() / sizes.min()))
+    refuse_too_many(guessed_nodes(domain, size, {}, 1.0), domain)
+    # an equilateral tetrahedron has the volume of a twelfth of a cell; odd, so that no level is nested in the next
+    counts = np.ceil(np.maximum(1, sides / (2 ** (1 / 6) * size) - 0.25)).astype(int)
+    longest = np.argmax(sides)
+    counts[longest] += counts[longest] > 3 and counts[longest] % 2 == 0
+    cell = sides / counts
+    if cell.max() > _FLAT * cell.min():
+        raise ValueError(f"size {size:g} m is more than {_FLAT:g} times as long as {domain!r} is thick; take smaller "
+                         "sizes (they are in m)")
+    return body_centred(domain, counts)
 
 
 def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunction],
@@ -283,28 +263,23 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     def wanted(x: np.ndarray) -> np.ndarray:
         return np.minimum(sizes_at(size_function, x), max_size)
 
-    nodes = guessed_nodes(domain, max_size, {}, grading)
-    if domain.dim == 2 and mesher == "bisection":
-        refuse_too_many(nodes, domain)
-        # a look at the field shows whether it asks for too much
-        look = max(max_size, float((domain.upper - domain.lower).max()) / 16)
-        if (coarse := _plane(domain, lambda x: np.full(len(x), look))) is not None:
-            refuse_too_many(expected_nodes(coarse, too_large(coarse, wanted)[1]), domain)
-            if (mesh := _plane(domain, wanted, grading)) is not None:
-                return mesh
+    if mesher == "bisection":
+        if domain.dim == 2:
+            refuse_too_many(guessed_nodes(domain, max_size, {}, grading), domain)
+            # a look at the field shows whether it asks for too much
+            look = max(max_size, float((domain.upper - domain.lower).max()) / 16)
+            if (coarse := _own(domain, lambda x: np.full(len(x), look))) is not None:
+                refuse_too_many(expected_nodes(coarse, too_large(coarse, wanted)[1]), domain)
+        if (mesh := _own(domain, wanted, grading)) is not None:
+            return mesh
 
     # Netgen alone sees a field that is cut off at the ratio it can take
-    def limited(factor: float, ratio: float, coarser: float = 1) -> SizeField:
-        return lambda x: np.maximum(factor * wanted(x), coarser * max_size / ratio)
+    def limited(factor: float, ratio: float) -> SizeField:
+        return lambda x: np.maximum(factor * wanted(x), max_size / ratio)
 
-    def draft(factor: float) -> MeshArrays:
-        if mesher == "netgen" and rounds <= 2:
-            return netgen_mesh(domain, limited(1.0, _NETGEN_RATIO), max_size, {}, grading, rounds)
-        fields = [limited(factor * (_FACTOR if rounds > 2 else 1.0), _NETGEN_RATIO * _FURTHER**max(0, k - 1), factor)
-                  for k in range(rounds)]
-        return netgen_mesh(domain, fields, factor * max_size, {}, min(1.0, factor * grading), rounds)
-
-    return _made(domain, nodes, draft, wanted, mesher)
+    fields = limited(1.0, _NETGEN_RATIO) if rounds <= 2 else [
+        limited(_FACTOR, _NETGEN_RATIO * _FURTHER**max(0, k - 1)) for k in range(rounds)]
+    return _bisected_to(netgen_mesh(domain, fields, max_size, {}, grading, rounds), wanted, domain)
 
 
 def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArrays:

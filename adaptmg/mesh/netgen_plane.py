@@ -38,25 +38,21 @@ NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 
 def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
-                grading: float, rounds: int, first: int = 1) -> MeshArrays:
-    """Mesh a domain by a size field, or by one a round: then the first mesh is ``first`` times as coarse."""
+                grading: float, rounds: int) -> MeshArrays:
+    """Mesh a domain by a size field, or by one a round."""
     lower, scale = extent(domain)
     nodes = refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
     at: SizesAt = []
     for step in range(rounds + 1):
-        unit = (first if step == 0 < rounds else 1) / scale
-        options = {"maxh": unit * max_size, "grading": grading}
+        options = {"maxh": max_size / scale, "grading": grading}
         # the steps that improve shapes take most of the time: here only nodes and centroids are used
         if not callable(sizes) and step < rounds:
             options |= {"optsteps2d": 0, "optsteps3d": 0}
-        mesh = one_mesh(domain, lower, scale, {name: unit * h for name, h in side_sizes.items()}, options, at, nodes)
+        mesh = one_mesh(domain, lower, scale, {name: h / scale for name, h in side_sizes.items()}, options, at, nodes)
         if step < rounds:
             places = mesh.points[mesh.elements].mean(axis=1)
-            if first > 1:
-                places = np.concatenate([mesh.points, places])
             wanted = (sizes if callable(sizes) else sizes[step])(places)
-            if first == 1:
-                nodes = refuse_too_many(expected_nodes(mesh, wanted), domain)
+            nodes = refuse_too_many(expected_nodes(mesh, wanted), domain)
             small = wanted < max_size
             at = [((places[small] - lower) / scale, wanted[small] / scale)]
     return with_source(mesh)

@@ -62,9 +62,9 @@ _NETGEN_RATIO = 16.0
 # (which only makes the mesh finer) often helps
 _MAX_GRADING = 0.6
 _ATTEMPTS = (1.0, 0.7, 0.5)
-#: how many times larger than wanted the elements of a draft may be (not powers of two, which would refine levels whose
-#: sizes are halved from one draft), and nodes that it has at least
-_FACTORS, _LEAST = (4.0, 1.8), 100
+#: how many times larger than wanted the elements of a draft may be (not two powers of two, which would refine levels
+#: whose sizes are halved from one draft), and nodes that it has at least
+_FACTORS, _LEAST = (7.2, 4.0, 1.8), 100
 # smallest angle of a draft, degrees: elements whose nodes all lie on the boundary keep theirs
 _MIN_ANGLE = 12.0
 _ENDLESS = 1e90
@@ -248,7 +248,8 @@ def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
     for factor, slower in (*drafts, *((1.0, slower) for slower in _ATTEMPTS)):
         try:
             wanted = sizes.drafts(factor, slower)
-            unit = _netgen_mesh(worker, shape, wanted, groups, domain, nodes / factor**3 + curved)
+            rounds = 0 if wanted.function is None and not groups else 2 if factor == 1 and wanted.function else 1
+            unit = _netgen_mesh(worker, shape, wanted, groups, domain, nodes / factor**3 + curved, rounds)
             try:
                 if factor > 1 and (angle := least_angle(unit.points, unit.elements)) < _MIN_ANGLE:
                     raise Misplaced(f"it has angles of {angle:.1f} degrees")
@@ -283,13 +284,12 @@ def _sound(tables: Sequence) -> MeshArrays:
 
 
 def _netgen_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, groups: dict[str, list[str]], domain: Domain,
-                 nodes: float) -> MeshArrays:
+                 nodes: float, rounds: int) -> MeshArrays:
     """Netgen's mesh at unit size; again by the sizes on the mesh before where these vary."""
     lower, scale, floor = shape.lower, shape.scale, sizes.size / _NETGEN_RATIO
     face_sizes = {int(i): _raised(sizes.boundaries[name], floor) / scale for name, parts in groups.items()
                   for i in parts}
     options = {"maxh": sizes.size / scale, "grading": sizes.grading, "curvaturesafety": sizes.curvature}
-    rounds = 2 if sizes.function is not None else 1 if groups else 0
     at: SizesAt = []
     for k in range(rounds + 1):
         # of a draft only its sizes matter: optimising takes most of the time

@@ -20,6 +20,7 @@ from adaptmg.mesh.structured import boundaries_of, merged, per_body
 from adaptmg.problem.solid_domains import StepFile
 
 Sizes = float | Mapping[str, float]
+SizeFunction = float | Callable[[np.ndarray], np.ndarray]
 # reading takes about a second a megabyte; twenty times that is the limit
 _START_S, _S_PER_BYTE, _BYTES_PER_BYTE = 60.0, 2e-5, 50
 # nodes on round faces, whose number is not known: for the time limit
@@ -27,7 +28,7 @@ _CURVED = 1e4
 
 
 def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, *,
-              grading: float = 0.3, size_function: float | Callable[[np.ndarray], np.ndarray] | None = None,
+              grading: float = 0.3, size_function: SizeFunction | None = None,
               unit: float = 1e-3, names: Mapping[str, str] | None = None, curvature: float = 2.0) -> MeshArrays:
     """Read and mesh a STEP file.
 
@@ -55,7 +56,7 @@ def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float]
 
 
 def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, grading: float = 0.3,
-              size_function: float | Callable[[np.ndarray], np.ndarray] | None = None, *, curvature: float = 2.0,
+              size_function: SizeFunction | Mapping[str, SizeFunction] | None = None, *, curvature: float = 2.0,
               mesher: str = "bisection") -> MeshArrays:
     """Mesh the solids of a STEP file with straight tetrahedra, each solid apart."""
     if not isinstance(domain, StepFile):
@@ -68,9 +69,10 @@ def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float]
                 raise ValueError(f"boundary_sizes: boundary {name!r} does not exist; the boundaries are "
                                  f"{', '.join(dict.fromkeys(known))}")
         largest, meshes = per_body("size", size, list(contents)), {}
+        functions = per_body("size_function", size_function, list(contents))
         for body, shape in step_shapes(worker, domain, contents):
             own = {face: boundary_sizes[f"{body}.{face}"] for face in boundaries_of(body, list(boundary_sizes or {}))}
-            sizes = SolidSizes(largest[body], own, grading, size_function, curvature)
+            sizes = SolidSizes(largest[body], own, grading, functions[body], curvature)
             meshes[body] = check_mesh(shape_mesh(worker, shape, sizes, domain, _CURVED, mesher))
     return swept(merged(meshes))
 

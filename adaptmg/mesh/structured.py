@@ -5,6 +5,10 @@ nodes of nested grids coincide to the last bit. In 3D each cell is cut into the 
 permutation :math:`\pi` of the axes, :math:`x_0, x_0 + e_{\pi(1)}, x_0 + e_{\pi(1)} + e_{\pi(2)}, \dots`
 (H. Freudenthal, Annals of Mathematics 43, 1942, doi:10.2307/1968813); halving the cells gives a nested refinement.
 
+body_centred: a box of cells with eight corners and a centre. Two neighbouring centres and an edge of the face between
+them make a tetrahedron, a centre and half a side of the box another: all have a twelfth of the volume of a cell and, in
+cubes, angles between faces of at least 45 degrees.
+
 merged: meshes of several bodies as one mesh. The bodies share no nodes; arrays are concatenated body by body.
 """
 
@@ -18,7 +22,7 @@ from typing import TypeVar
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MOST_NODES, Lattice, MeshArrays, facet_table, sound_by_construction
+from adaptmg.mesh.arrays import MOST_NODES, Lattice, MeshArrays, facet_table, normalised, sound_by_construction
 from adaptmg.mesh.domains import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.plane_domains import Box, Domain, Rectangle
@@ -105,6 +109,30 @@ def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> Me
     lattice = Lattice(tuple(domain.lower), tuple(domain.upper), counts)
     return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries),
                                  [lattice] if diagonal == "right" else [])
+
+
+def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
+    """Tetrahedra by the corners and centres of cells, so many along each axis."""
+    shape = np.array(counts)
+    corners = np.arange(np.prod(shape + 1)).reshape(shape + 1)
+    centres = corners.size + np.arange(np.prod(shape)).reshape(shape)
+    places = np.concatenate([np.indices(shape + 1).reshape(3, -1).T, np.indices(shape).reshape(3, -1).T + 0.5])
+    elements, facets = [], {}
+    for axis in range(3):
+        # the last axis runs across faces
+        corner, centre = np.moveaxis(corners, axis, -1), np.moveaxis(centres, axis, -1)
+        around = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]])
+        below, above = centre[..., :-1], centre[..., 1:]
+        elements += [np.stack([below, above, around[k, ..., 1:-1], around[k - 1, ..., 1:-1]], axis=-1).reshape(-1, 4)
+                     for k in range(4)]
+        for end in (0, -1):
+            halves = [np.stack(around[[0, k, k + 1], ..., end], axis=-1).reshape(-1, 3) for k in (1, 2)]
+            elements += [np.column_stack([half, centre[..., end].ravel()]) for half in halves]
+            facets[axis, -end] = np.concatenate(halves)
+    sides = [facets[BOX_SIDES[name]] for name in domain.boundaries]
+    return normalised(domain.lower + places / shape * (domain.upper - domain.lower), np.concatenate(elements),
+                      np.concatenate(sides), np.repeat(np.arange(6), [len(side) for side in sides]), domain.boundaries,
+                      np.zeros(12 * centres.size, dtype=int), ("body",))
 
 
 def _cells(counts: tuple[int, ...], last: np.ndarray, *, axis: int = -1) -> np.ndarray:

@@ -40,9 +40,9 @@ class Certificate:
         the force' (weighted by force), 'open, touching' (forces at open nodes), 'touching, open' (gaps at touching
         nodes), 'slip, sticking' (slip at sticking nodes), 'balance' (sum of loads and all reactions).
     energy_error : float
-        Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: rather too small
-        than too large. Below a tenth of rtol by one step, which may miss half of it. With ``bound=True`` by a
-        factorisation: exact for this status.
+        Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: mostly 0 to 10 %
+        too large, seldom too small. Below a tenth of rtol by one step, which may miss half of it. With ``bound=True``
+        by a factorisation: exact for this status.
     energy_rounding : float
         The part of it that rounding explains.
     exact_energy : bool

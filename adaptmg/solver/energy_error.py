@@ -10,9 +10,11 @@ the solution of :math:`K (I + D) A\,y + K S\,y = e`: e the forces at v that no l
 explains, K the projection onto that space, S the stiffness of friction that turns with the slip, D the friction that
 a change of the pressure brings (Coulomb). Its Galerkin solution in the span of preconditioned residuals is sought,
 without D by conjugate gradients, whose energy grows from step to step and is never too large. The preconditioner:
-forward Gauss-Seidel, the rigid motions of :mod:`adaptmg.solver.aggregates`, backward Gauss-Seidel. The
-steps end when what the last residual could still hold, by the largest of the steps' ratios of energy to
-:math:`r\cdot P r`, is small; where they do not settle, a factorisation decides if the matrix is not too large for one.
+forward Gauss-Seidel, the rigid motions of :mod:`adaptmg.solver.aggregates`, backward Gauss-Seidel. A residual r
+holds at most the energy :math:`r\cdot P r / \lambda`, with the least eigenvalue :math:`\lambda` of the preconditioned
+matrix; the least Ritz value of the steps stands for it, which falls towards it. The steps end when this value has
+settled and what the last step may have left is small; it is counted as missing. Where they do not settle, a
+factorisation decides if the matrix is not too large for one.
 What other lines of a certificate need from all nodes, sums and largest entries, a :class:`Tally` takes in one pass.
 Nothing here comes from the solvers but the arithmetic of small blocks.
 """
@@ -31,8 +33,10 @@ from adaptmg._threads import Strips, in_parts, sum_of_parts
 from adaptmg.smoother.blocks import ONE, ZERO, add, in_loop, read, subtract, times, transposed_times, write
 from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 
-#: least steps and share of the energy that may be missing, up to the first number of nodes and beyond
-_SMALL, _FEW, _MANY = 20_000, (3, 0.15), (2, 0.3)
+#: least steps, the share of the energy that the last one may have left, and of the least Ritz value that stays
+_LEAST, _MISSING, _SETTLED = 3, 0.3, 0.7
+#: over what is negligible, what two steps need not know better: a half of rtol
+_CLEARLY = 25.0
 #: steps at most, without and with Coulomb friction, which needs all directions
 _MOST, _MOST_COULOMB = 40, 16
 #: dofs up to which a factorisation is taken where the steps do not settle, by dimension
@@ -208,7 +212,8 @@ class _Preconditioner:
 def residual_energy(matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenStatus, residual: np.ndarray,
                     aggregates: Aggregates | None, negligible: float = 0.0) -> float:
     """Energy of the displacement that a residual brings about in the space of a status, N m. If it is at most
-    ``negligible`` after the first step, that is the answer. The diagonal blocks and the residual are overwritten."""
+    ``negligible`` after the first step, or 25 times that after the second, that is the answer. The diagonal blocks and
+    the residual are overwritten."""
     status.project(residual)
     size = _dot(residual, residual)
     if not np.isfinite(size):
@@ -231,10 +236,11 @@ def residual_energy(matrix: sparse.bsr_array, diagonal: np.ndarray, status: Froz
 def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner,
                negligible: float) -> tuple[float, bool]:
     """A Galerkin solution's energy, and whether further steps would change it little; overwrites the residual."""
-    least, missing = _FEW if len(residual) <= _SMALL else _MANY
-    symmetric, energy, largest = status.symmetric, 0.0, 0.0
+    symmetric, energy, ritz = status.symmetric, 0.0, np.inf
     kept: list[tuple[np.ndarray, np.ndarray]] = []  # orthonormal directions, and what the equations make of them
     equations, load, shares = np.empty((_MOST_COULOMB, _MOST_COULOMB)), np.empty(_MOST_COULOMB), np.empty(0)
+    # preconditioned residuals, of unit length in the norm of the preconditioner, by the directions
+    basis = np.zeros((_MOST, _MOST))
     for step in range(1, (_MOST if symmetric else _MOST_COULOMB) + 1):
         direction, forces = precondition(residual)
         product, before = _dot(residual, direction), energy
@@ -276,11 +282,16 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
             for share, (_, f) in zip(shares - taken, kept, strict=True):
                 _add(-share, f, residual)
             energy = float(shares @ shares)
-        largest = max(largest, abs(energy - before) / product)
         if energy <= negligible:
             return energy, True
-        if step >= least and largest * product <= missing * energy:
-            return energy, True
+        basis[step - 1 - len(overlaps):step, step - 1] = np.append(overlaps, np.sqrt(square)) / np.sqrt(product)
+        last, ritz = ritz, np.linalg.svd(basis[:step, :step], compute_uv=False)[-1] ** 2
+        whole = max(before + product / ritz, energy)
+        left = whole - energy if symmetric else max(whole - energy, abs(energy - before))
+        if step > 1 and whole <= _CLEARLY * negligible:
+            return whole, True
+        if step >= _LEAST and left <= _MISSING * energy and ritz >= _SETTLED * last:
+            return whole, True
     return energy, False
 
 

@@ -89,12 +89,12 @@ class Examiner:
         return 0.0 if size == 0.0 else size / (scale or size)
 
     def __call__(self, solved: np.ndarray, rtol: float = 0.0) -> Examined:
-        """Examine a displacement (n_nodes, dim) or (n_dofs,), between bodies in relative coordinates, m; ``rtol``: the
-        tolerance that is asked for."""
-        solved = np.array(solved, dtype=np.float64).reshape(-1)
+        """Examine a displacement (n_nodes, dim) or (n_dofs,), between bodies in relative coordinates, m, which is kept
+        and must not change any more; ``rtol``: the tolerance that is asked for."""
+        solved = np.asarray(solved, dtype=np.float64).reshape(-1)
         if self._last is not None and np.array_equal(self._last[0], solved):
             return self._last[1]
-        discrete = self.discrete
+        discrete, self._last = self.discrete, None
         residual, diagonal = product_and_diagonal(discrete.matrix, solved)
         energy = energy_norm(solved, residual)
         np.subtract(discrete.load, residual, out=residual)

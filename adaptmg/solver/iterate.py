@@ -52,7 +52,8 @@ def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status
         if status is None:
             status = method.step(stop)
         if status is not None:
-            return Status.CONVERGED if status is Status.STALLED and stop.certified() else status
+            given_up = status in (Status.STALLED, Status.LIMIT)
+            return Status.CONVERGED if given_up and stop.certified(method.cycles) else status
 
 
 class StopTest:
@@ -69,7 +70,7 @@ class StopTest:
 
     def __init__(self, rtol: float, limit: float, sizes: Sizes) -> None:
         self.rtol, self.limit, self.sizes = rtol, limit, sizes
-        self._caution, self._asked, self._rounding = 1.0, 0, False
+        self._caution, self._asked, self._rounding = 1.0, -1, False
         self.changes: list[float] = []
         self.size, self.residual, self.error_estimate, self.met = 0.0, np.inf, np.inf, False
         self._last = np.nan
@@ -127,9 +128,10 @@ class StopTest:
         """By how many times the certificate finds the last iterate short of rtol; None if it is not asked."""
         return None
 
-    def certified(self) -> bool:
-        """Whether the certificate finds the last iterate good enough; near rounding no rate shows that any more."""
-        if not self.residual_met or self.shortfall() != 0.0:
+    def certified(self, cycles: int) -> bool:
+        """Whether the certificate, if it was not asked, finds the last iterate good enough, whatever the estimate says:
+        near rounding no rate shows that any more, and after a refusal it is cautious."""
+        if cycles == self._asked or not self.residual_met or self.shortfall() != 0.0:
             return False
         self.error_estimate = min(self.error_estimate, self.rtol)
         return True

@@ -211,7 +211,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
               stress_data: StressData | None, choice: str = "") -> Result:
     """The Result on the finest level; the certificate and the natural residual confirm the status."""
     with run.phase("certificate"):
-        found = examiner(outcome.displacement, outcome.rtol)
+        # a solver of the user may go on with its array
+        found = examiner(np.array(outcome.displacement), outcome.rtol)
     mesh = getattr(grids.finest, "mesh", None)
     bare = grids.problem is None or mesh is None
     keys = dict.fromkeys(key for row in run.history for key in row)

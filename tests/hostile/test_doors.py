@@ -90,7 +90,7 @@ DOORS = {
     am.PointSupport: {"point": (0.0, 0.0), "x": 1.0, "body": "a"},
     am.ProjectedGaussSeidel: {"omega": 1.0, "order": "forward", "friction_update": 2},
     am.Rectangle: {"width": 1.0, "height": 1.0, "origin": (0.0, 0.0)},
-    am.Remesh: {"growth": 2.0, "finest": 0.1, "coarsest": 2.0, "refinements": 2},
+    am.Remesh: {"growth": 2.0, "finest": 0.1, "coarsest": 2.0},
     am.Revolution: {"polygon": SQUARE, "angle": 90.0},
     am.SingleGrid: {"omega": 1.0, "condensed": False, "friction": "diagonal", "friction_update": 2, "stop": "error",
                     "rtol": 0.1, "max_sweeps": 2},

@@ -57,6 +57,16 @@ def test_cycles_and_work_do_not_grow_with_the_mesh():
         assert am.solve(grids, NESTED).cycles <= 16 and am.solve(grids, COLD).residual <= 1e-7
 
 
+def test_the_start_on_uniform_plane_grids_is_extrapolated():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16, 32))
+    # the same meshes that do not know that they are lattices
+    unknown = am.Hierarchy.from_meshes(grids.problem, [replace(level.mesh, source=None) for level in grids.levels])
+    solution = exact(grids)
+    here, there = (am.solve(of, NESTED, reference=solution) for of in (grids, unknown))
+    assert here.history["true_error"][0] < 0.9 * there.history["true_error"][0]
+    assert here.start_work_units == pytest.approx(there.start_work_units)
+
+
 def test_work_units_by_hand():
     three = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
     two = three.truncated(finest=1)

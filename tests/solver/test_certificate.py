@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from bodies import bar_hierarchy, bar_on_block
 from scipy.sparse.linalg import spsolve
+from study_scripts import load
 
 import adaptmg as am
 from adaptmg.solver import aggregates
@@ -182,16 +183,28 @@ def test_the_energy_error_is_estimated(solver, law, dim):
     estimate, bound = (max(found.energy_error, ROUNDING)
                        for found in (result.certificate(), result.certificate(discrete, bound=True)))
     true = max(energy(discrete, result.displacement - u) / energy(discrete, u), ROUNDING)
-    assert 0.5 * true <= estimate <= 1.5 * true and 0.8 * true <= bound <= 1.2 * true
+    assert 0.8 * true <= bound <= 1.2 * true and 0.95 * bound <= estimate <= 1.2 * bound
 
 
-def test_one_step_sees_what_is_smooth(monkeypatch):
+@pytest.mark.parametrize("seed", [60055, 60083, 60187])
+def test_the_estimate_misses_no_errors_that_converge_slowly(seed):
+    """Bodies of very different sizes and stiffness: what steps had removed alone was .81 to .87 of the error."""
+    _, hierarchy = load("random_problems").random_problem(seed)
+    for cycles in (3, 10):
+        result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-12, max_cycles=cycles, correction=am.Monotone()),
+                          throw=False)
+        estimate, bound = (result.certificate(hierarchy.finest.discrete, bound=exactly).energy_error
+                           for exactly in (False, True))
+        assert 0.93 * bound <= estimate <= 1.2 * bound
+
+
+def test_one_step_sees_what_is_smooth():
     """Hats that keep the contact status; constants over boxes that leave contact out see a third of it here."""
-    monkeypatch.setattr("adaptmg.solver.energy_error._MANY", (1, 0.0))
     hierarchy = grids(divisions=(4, 8, 16, 32, 64))
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6), throw=False)
     true = result.certificate(hierarchy.finest.discrete, bound=True).energy_error
-    assert 0.75 * true <= certify(hierarchy.finest.discrete, result.displacement, result.contact).energy_error
+    one_step = certify(hierarchy.finest.discrete, result.displacement, result.contact, rtol=100 * true)
+    assert 0.75 * true <= one_step.energy_error
 
 
 def test_an_energy_error_beyond_the_tolerance_takes_converged_back():
@@ -201,6 +214,13 @@ def test_an_energy_error_beyond_the_tolerance_takes_converged_back():
     error = energy(discrete, smooth - u) / energy(discrete, u)
     assert am.solve(grids(), Returns(smooth, rtol=3 * error), throw=False).status.ok
     assert not am.solve(grids(), Returns(smooth, rtol=0.1 * error), throw=False).status.ok
+
+
+def test_a_result_shares_no_array_with_the_solver():
+    given = exact().displacement.copy()
+    result = am.solve(grids(), Returns(given))
+    given[:] = 0.0
+    assert (result.displacement == exact().displacement).all()
 
 
 def test_no_error_estimate_is_better_than_the_certificate_and_nothing_solved_is_not_converged():

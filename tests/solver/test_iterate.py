@@ -64,6 +64,14 @@ def test_what_else_ends_it(grids, method, limit, status, cycles):
     assert method.cycles == cycles
 
 
+@pytest.mark.parametrize(("last", "status"), [(0.0, am.Status.CONVERGED), (2.0, am.Status.LIMIT)])
+def test_at_the_limit_the_certificate_decides_whatever_the_estimate(grids, last, status):
+    """After a refusal the test asks for more than rtol, and the cycles may end before."""
+    stop, found = stop_test(grids, limit=11), [3.0, last]
+    stop.shortfall = lambda: found.pop(0)
+    assert iterate(Halving(), stop) is status and not found
+
+
 @dataclass
 class ActiveSetInDisguise:
     """A correction with cycles of its own."""
