@@ -13,13 +13,14 @@ import numpy as np
 from adaptmg._checks import real_array, shown
 
 # scipy takes all that numpy lists, and with it modules that it does not use: a twelfth of the first solve of a process
-_listed = np.__all__, np.__dir__
-np.__all__ = [name for name in np.__all__ if name not in ("f2py", "testing")]
-np.__dir__ = lambda: np.__all__
+_numpy = vars(np)
+_listed = {name: _numpy[name] for name in ("__all__", "__dir__")}
+_fewer = [name for name in _listed["__all__"] if name not in ("f2py", "testing")]
+_numpy.update(__all__=_fewer, __dir__=lambda: _fewer)
 try:
     from scipy import sparse
 finally:
-    np.__all__, np.__dir__ = _listed
+    _numpy.update(_listed)
 
 _COMPRESSED = ("csr", "csc", "bsr")
 Compressed = sparse.csr_array | sparse.csc_array | sparse.bsr_array
