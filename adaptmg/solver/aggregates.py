@@ -24,6 +24,8 @@ _SIZE = {2: (64, 4), 3: (80, 3)}
 _MANY, _LARGE, _MOST = 40_000, 100, {2: 1800, 3: 500}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
+#: neighbours of an aggregate for which there is room at first
+_ROOM = 16
 #: of the diagonal, added to it: a status may take motions from an aggregate
 _SHIFT = 1e-10
 
@@ -120,12 +122,12 @@ def _arrange(label, points, count, order, starts, ends, offset):
 
 @kernel
 def _pattern(indptr, indices, label, order, starts, coarse_indptr, seen, coarse_indices):
-    """Aggregates J met from rows i <= j of each aggregate I, as rows of a matrix. ``coarse_indices`` may be empty;
-    ``seen`` (n_aggregates,) comes as -1."""
+    """Aggregates J met from rows i <= j of each aggregate I, as rows of a matrix; returns their number, which may be
+    more than ``coarse_indices`` holds. ``seen`` (n_aggregates,) comes as -1."""
     count = 0
     for a in range(len(starts) - 1):
         seen[a] = a
-        if len(coarse_indices):
+        if count < len(coarse_indices):
             coarse_indices[count] = a
         count += 1
         for q in range(starts[a], starts[a + 1]):
@@ -134,7 +136,7 @@ def _pattern(indptr, indices, label, order, starts, coarse_indptr, seen, coarse_
                 b = label[indices[p]]
                 if indices[p] > i and b >= 0 and seen[b] != a:
                     seen[b] = a
-                    if len(coarse_indices):
+                    if count < len(coarse_indices):
                         coarse_indices[count] = b
                     count += 1
         coarse_indptr[a + 1] = count
@@ -169,8 +171,10 @@ class Aggregates:
         _arrange(self.label, points, count, self.order, self.starts, np.empty(count, dtype=np.int32), self.offset)
         self.indptr = np.zeros(count + 1, dtype=np.int32)
         given = matrix.indptr, matrix.indices, self.label, self.order, self.starts, self.indptr
-        self.indices = np.empty(_pattern(*given, np.full(count, -1), np.empty(0, dtype=np.int32)), dtype=np.int32)
-        _pattern(*given, np.full(count, -1), self.indices)
+        self.indices = np.empty(_ROOM * count, dtype=np.int32)
+        while (found := _pattern(*given, np.full(count, -1), self.indices)) > len(self.indices):
+            self.indices = np.empty(found, dtype=np.int32)
+        self.indices = self.indices[:found].copy()
         self._number_entries(count, 3 * dim - 3)
 
     def _number_entries(self, count: int, modes: int) -> None:

@@ -147,34 +147,33 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
     alike = [(a.lower, a.upper) == (b.lower, b.upper) for a, b in zip(coarse.lattices, fine.lattices, strict=False)]
     if coarse.bodies != fine.bodies or len(alike) < len(fine.bodies) or not all(alike):
         return None
-    indptr, arguments, node, column = np.zeros(fine.n_nodes + 1, dtype=np.int32), [], 0, 0
+    most, node, column, count = (fine.dim + 1) * fine.n_nodes, 0, 0, 0
+    indptr, indices, data = np.zeros(fine.n_nodes + 1, dtype=np.int32), np.empty(most, dtype=np.int32), np.empty(most)
     for below, above in zip(coarse.lattices, fine.lattices, strict=True):
         places = [np.divmod(np.arange(n + 1) * m, n) for m, n in zip(below.counts, above.counts, strict=True)]
         strides = np.cumprod([1, *(m + 1 for m in below.counts)])
         lowest = np.concatenate([stride * q for stride, (q, _) in zip(strides, places, strict=False)])
         shares = np.concatenate([r / n for (_, r), n in zip(places, above.counts, strict=True)])
-        arguments.append((node, column, np.array(above.counts) + 1, strides, lowest, shares, indptr))
-        node, column = node + math.prod(n + 1 for n in above.counts), column + int(strides[-1])
-    for own in arguments:
-        _lattice_rows(*own, np.empty(0, dtype=np.int32), np.empty(0))
-    np.cumsum(indptr, out=indptr)
-    indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1])
-    for own in arguments:
-        _lattice_rows(*own, indices, data)
+        end = node + math.prod(n + 1 for n in above.counts)
+        count = _lattice_rows(node, end, column, np.array(above.counts) + 1, strides, lowest, shares,
+                              *np.zeros((2, len(strides)), dtype=np.int64), np.empty(len(strides)), indptr, indices,
+                              data, count)
+        node, column = end, column + int(strides[-1])
+    indices, data = indices[:count].copy(), data[:count].copy()
     result = sparse.csr_array((data, indices, indptr), shape=(fine.n_nodes, coarse.n_nodes))
     result.has_sorted_indices = result.has_canonical_format = True
     return result
 
 
 @kernel
-def _lattice_rows(node, start, sides, strides, lowest, shares, indptr, indices, data):
-    """Rows of interpolation for a lattice with ``sides`` nodes along its axes, from ``node`` on; only their lengths,
-    one place further, if ``data`` is empty. Along the axes, one after the other, ``lowest`` are the places below in the
-    coarse lattice, which begins with node ``start``, times its ``strides``, and ``shares`` the parts of a cell beyond.
-    """
+def _lattice_rows(node, end, start, sides, strides, lowest, shares, place, axis, share, indptr, indices, data,
+                  count):
+    """Rows of interpolation for a lattice with ``sides`` nodes along its axes, from ``node`` to ``end``, behind
+    ``count`` entries; returns the new number of entries. Along the axes, one after the other, ``lowest`` are the places
+    below in the coarse lattice, which begins with node ``start``, times its ``strides``, and ``shares`` the parts of a
+    cell beyond. ``place``, zeros before and after, ``axis`` and ``share`` (dim + 1,) are overwritten."""
     dim = len(sides)
-    axis, share, place = np.empty(dim + 1, dtype=np.int64), np.zeros(dim + 1), np.zeros(dim, dtype=np.int64)
-    for i in range(node, node + sides.prod()):
+    for i in range(node, end):
         column, first = start, 0
         for k in range(dim):
             at = first + place[k]
@@ -187,22 +186,21 @@ def _lattice_rows(node, start, sides, strides, lowest, shares, indptr, indices, 
             axis[to], share[to] = k, shares[at]
             first += sides[k]
         share[dim] = 0.0
-        before, count = 1.0, 0
+        before = 1.0
         for k in range(dim + 1):
             if before > share[k]:
-                if len(data):
-                    indices[indptr[i] + count], data[indptr[i] + count] = column, before - share[k]
+                indices[count], data[count] = column, before - share[k]
                 count += 1
             before = share[k]
             column += strides[axis[k]] if k < dim else 0
-        if not len(data):
-            indptr[i + 1] = count
+        indptr[i + 1] = count
         k = 0
         while k < dim and place[k] == sides[k] - 1:
             place[k] = 0
             k += 1
         if k < dim:
             place[k] += 1
+    return count
 
 
 CLIP = 1e-10

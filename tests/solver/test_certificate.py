@@ -10,6 +10,7 @@ from scipy.sparse.linalg import spsolve
 from study_scripts import load
 
 import adaptmg as am
+from adaptmg.solver import aggregates
 from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.record import Outcome
@@ -276,6 +277,14 @@ def test_faults_of_friction_at_supports_are_caught():
     share = np.zeros_like(contact.master_force)
     share[np.argmax(np.abs(contact.master_force[:, 0])), 0] = 0.1 * np.abs(contact.master_force).max()
     assert "equilibrium" in found(master_force=contact.master_force + share)
+
+
+def test_more_neighbours_of_aggregates_than_there_is_room_for_make_the_same_pattern(monkeypatch):
+    problem = bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 3).finest.discrete
+    usual = Aggregates(problem)
+    monkeypatch.setattr(aggregates, "_ROOM", 0)
+    cramped = Aggregates(problem)
+    assert len(usual.indices) > len(usual.indptr) and np.array_equal(cramped.indices, usual.indices)
 
 
 @pytest.mark.parametrize("problem", [am.cases.greco_bar(), am.cases.greco_block()], ids=["2D", "3D"])
