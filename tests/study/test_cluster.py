@@ -104,8 +104,8 @@ def test_runs_over_their_limits_are_stopped(cluster):
             return {"m": len(kept)}
         return {"m": 1}
 
-    timed = Study(run, {"what": ["short", "locked"]}).run(progress=False, scheduler=cluster, limit_s=2)
-    assert timed["error"].tolist() == ["", "TimeLimit: stopped after limit_s=2 s"] and timed["m"][0] == 1
+    timed = Study(run, {"what": ["short", "locked"]}).run(progress=False, scheduler=cluster, limit_s=4)
+    assert timed["error"].tolist() == ["", "TimeLimit: stopped after limit_s=4 s"] and timed["m"][0] == 1
     held = Study(run, {"what": ["short", "large"]}).run(progress=False, scheduler=cluster, memory_limit=1e9)
     assert held["status"].tolist() == ["done", "failed"] and held["error"][1].startswith("MemoryLimit")
 
