@@ -41,8 +41,9 @@ class Certificate:
         nodes), 'slip, sticking' (slip at sticking nodes), 'balance' (sum of loads and all reactions).
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: mostly 0 to 10 %
-        too large, seldom too small. Below a tenth of rtol by one step, which may miss half of it. With ``bound=True``
-        by a factorisation: exact for this status.
+        too large, seldom too small. Where a solve stopped far below its rtol fewer steps do: one below .1 rtol, which
+        may miss half of it, two below .6, which may say half too much. With ``bound=True`` by a factorisation: exact
+        for this status.
     energy_rounding : float
         The part of it that rounding explains.
     exact_energy : bool

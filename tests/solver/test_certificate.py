@@ -183,7 +183,7 @@ def test_the_energy_error_is_estimated(solver, law, dim):
     estimate, bound = (max(found.energy_error, ROUNDING)
                        for found in (result.certificate(), result.certificate(discrete, bound=True)))
     true = max(energy(discrete, result.displacement - u) / energy(discrete, u), ROUNDING)
-    assert 0.8 * true <= bound <= 1.2 * true and 0.95 * bound <= estimate <= 1.2 * bound
+    assert 0.5 * true <= estimate <= 1.5 * true and 0.8 * true <= bound <= 1.2 * true
 
 
 @pytest.mark.parametrize("seed", [60055, 60083, 60187])
