@@ -14,7 +14,6 @@ at most.
 
 import json
 from functools import lru_cache
-from itertools import islice
 
 import numpy as np
 import pandas as pd
@@ -82,11 +81,11 @@ def run(case: str, family: str, most: int, reference_nodes: int) -> dict:
     """Errors and costs of all meshes of a family up to ``most`` nodes, as JSON."""
     warm_up(3 if "3D" in case else 2)
     against = reference(case, reference_nodes)
-    for _ in islice(solutions(case, family, 10**5), 2):     # kernels of this case
-        pass
-    rows = [{"nodes": grids.finest.n_nodes, "levels": len(grids), "cycles": result.cycles, "cpu": seconds,
+    # the lesser of two runs: the first one also loads kernels of this case, and touches memory for the first time
+    before = [seconds for _, _, seconds in solutions(case, family, most)]
+    rows = [{"nodes": grids.finest.n_nodes, "levels": len(grids), "cycles": result.cycles, "cpu": min(seconds, first),
              "energy_error": energy_error(against, result).relative, "outcome": result.status.name}
-            for grids, result, seconds in solutions(case, family, most)]
+            for first, (grids, result, seconds) in zip(before, solutions(case, family, most), strict=True)]
     return {"meshes": json.dumps(rows)}
 
 
