@@ -59,8 +59,9 @@ _NETGEN_RATIO = 16.0
 _FURTHER, _FACTOR = 8.0, 0.85
 #: places along each side where the largest size in a box is looked for; how flat cells may be
 _LOOKS, _FLAT = 9, 1e3
-#: of the field, which elements may exceed by sqrt(2) and those of cells do alike: then by its root at most
-_CLOSER = 2**-0.25
+#: of the field, which elements may exceed by sqrt(2), and those of cells do alike: then by a quarter at most, and there
+#: are as many nodes as sizes are asked for
+_CLOSER = 0.9
 #: elements across a body by default, coarse to fine, and along a plane contact boundary of the finest mesh
 _ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, 64
 MESHERS = ("bisection", "netgen")
