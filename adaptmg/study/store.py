@@ -75,10 +75,13 @@ class Store:
 
     def _prepare(self) -> None:
         self._connection.execute("PRAGMA synchronous = FULL")
-        if not self._is_store():
-            # one transaction: a second process sees an empty file or a store
-            self._connection.execute("BEGIN IMMEDIATE")
+        # transactions: another process that makes the tables is seen before or after, not in between
+        with self._connection:
+            self._connection.execute("BEGIN")
+            found = self._is_store()
+        if not found:
             with self._connection:
+                self._connection.execute("BEGIN IMMEDIATE")
                 if not self._is_store():
                     for statement in _TABLES:
                         self._connection.execute(statement)

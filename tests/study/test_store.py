@@ -9,7 +9,9 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -101,6 +103,16 @@ def test_processes_that_share_a_store_do_not_disturb_each_other(tmp_path):
     assert [process.returncode for process in started] == [0, 0, 0]
     assert sorted(r.results["m"] for r in Store(path).get("one").values()) == list(range(60))
     assert len(Store(path).get("two")) == 40
+
+
+def test_a_new_store_can_be_opened_by_several_at_once(tmp_path):
+    def opened(turn):
+        together.wait()
+        return Store(tmp_path / f"{turn}.sqlite").studies()
+
+    together = threading.Barrier(6, timeout=10)
+    with ThreadPoolExecutor(6) as pool:
+        assert not any(pool.map(opened, [turn for turn in range(40) for _ in range(6)]))
 
 
 def test_a_row_survives_a_power_cut(tmp_path):
