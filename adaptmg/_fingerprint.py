@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import dis
+import enum
 import functools
 import hashlib
 import importlib
@@ -257,6 +258,8 @@ class _Pickler(pickle.Pickler):
         if isinstance(value, _REFUSED):
             raise pickle.PicklingError("runs share its state, or it has an address alone; random numbers come from a "
                                        "seed that is a parameter")
+        if isinstance(value, enum.Enum):  # early releases of Python 3.11 pickle the name alone
+            return kind, value._name_, value._value_
         # cached properties follow from the rest
         caches = {name for owner in kind.__mro__ for name, part in vars(owner).items() if type(part) is cached_property}
         return (kind, {name: part for name, part in vars(value).items() if name not in caches}) if caches else None

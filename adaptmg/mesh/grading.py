@@ -196,7 +196,7 @@ def _cells(domain: Box, field: SizeField) -> MeshArrays:
     sides = domain.upper - domain.lower
     looks = np.indices([_LOOKS] * 3).reshape(3, -1).T / (_LOOKS - 1)
     sizes = field(domain.lower + looks * sides)
-    # halved so many times they have the least size
+    # near the largest size, and the least one times a power of two
     size = float(sizes.min()) * 2.0 ** np.rint(np.log2(sizes.max() / sizes.min()))
     refuse_too_many(guessed_nodes(domain, size, {}, 1.0), domain)
     # an equilateral tetrahedron has the volume of a twelfth of a cell; odd, so that no level is nested in the next
