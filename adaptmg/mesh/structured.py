@@ -112,7 +112,7 @@ def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> Me
 
 
 def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
-    """Tetrahedra by the corners and centres of cells; counts: cells along each axis."""
+    """Return tetrahedra by the corners and centres of cells; ``counts`` are the cells along each axis."""
     shape = np.array(counts)
     corners = np.arange(np.prod(shape + 1)).reshape(shape + 1)
     centres = corners.size + np.arange(np.prod(shape)).reshape(shape)
