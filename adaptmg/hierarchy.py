@@ -14,9 +14,9 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._reuse import plain, recent, same
 from adaptmg._runtime import one_blas_thread
 from adaptmg._text import html_table, in_html_lines, shortened
+from adaptmg.discrete.discretise import same
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.level import (
     Level,
@@ -129,8 +129,7 @@ class Hierarchy:
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))
         _check_total("divisions", [lattice_nodes(problem.domain, n) for n in divisions], problem.dim)
         return cls._build(problem, lambda: [structured(problem.domain, n, diagonal=diagonal) for n in divisions], None,
-                          f"uniform {', '.join(map(_label, divisions))}", begin,
-                          key=("uniform", problem.domain, divisions, diagonal))
+                          f"uniform {', '.join(map(_label, divisions))}", begin)
 
     @classmethod
     def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]] | None = None,
@@ -166,8 +165,7 @@ class Hierarchy:
         sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
         origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
         return cls._build(problem, lambda: [graded(domain, size, problem.pair_boundaries, contact_ratio, mesher=mesher)
-                                            for size in sizes], transfer, origin, begin, contact_rows,
-                          key=("graded", domain, sizes, contact_ratio, transfer, contact_rows, mesher))
+                                            for size in sizes], transfer, origin, begin, contact_rows)
 
     @classmethod
     def bisected(cls, problem: ContactProblem, coarsest: object, levels: int) -> Hierarchy:
@@ -271,16 +269,8 @@ class Hierarchy:
     @classmethod
     @one_blas_thread()
     def _build(cls, problem: ContactProblem, mesh: Callable[[], list[MeshArrays]], transfer: Transfer | None,
-               origin: str, begin: float, contact_rows: bool = True, limits: str = "", key: tuple | None = None
-               ) -> Hierarchy:
-        """The levels on the meshes that ``mesh`` makes; in a study with what an earlier run made under ``key``."""
-        if not plain((problem.contact, problem.supports, problem.material)):
-            key = None
-        elif key is not None:
-            key = *key, problem.contact_boundaries, problem.masters
-            known, numbers = recent.find(key) or (None, ())
-            if known is not None and known._numbers() == numbers:  # else the earlier run changed them in place
-                return known.with_problem(problem)._kept(key)
+               origin: str, begin: float, contact_rows: bool = True, limits: str = "") -> Hierarchy:
+        """The levels on the meshes that ``mesh`` makes."""
         meshes = mesh()
         for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
             warnings.warn(message, UserWarning, stacklevel=4)
@@ -293,17 +283,7 @@ class Hierarchy:
         for k in range(1, len(levels)):
             levels[k] = joined(levels[k - 1], levels[k], builder, contact_rows)
         timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
-        return cls(tuple(levels), problem, origin, timings, limits, transfer, contact_rows)._kept(key)
-
-    def _kept(self, key: tuple | None) -> Self:
-        if key is not None:
-            recent.keep(key, sum(level.n_nodes for level in self.levels), (self, self._numbers()))
-        return self
-
-    def _numbers(self) -> list[float]:
-        """Sums over the arrays that can be written to."""
-        matrices = [level.discrete.matrix for level in self.levels] + [level.prolongation for level in self.levels[1:]]
-        return [float(one.data.sum()) for one in matrices]
+        return cls(tuple(levels), problem, origin, timings, limits, transfer, contact_rows)
 
     def __len__(self) -> int:
         return len(self.levels)

@@ -226,6 +226,22 @@ def test_another_problem_on_the_same_meshes_is_what_building_anew_makes():
             assert new.problem is other and new.finest.prolongation is old.finest.prolongation
             assert k > 0 or new.finest.matrix is old.finest.matrix
 
+
+@pytest.mark.parametrize("where", ["load", "gap"])
+def test_another_problem_evaluates_functions_again(where):
+    scale = [1.0]
+    def values(x):
+        return scale[0] * np.ones(len(x))
+
+    push = am.Pressure("top", values if where == "load" else 1e4)
+    obstacle = am.GapFunction(lambda x: 1e-9 * values(x)) if where == "gap" else am.Plane((0, 0), (0, 1))
+    problem = replace(BAR, loads=(push,), contact=am.Contact(BAR.contact_boundaries[0], obstacle))
+    old = am.Hierarchy.uniform(problem, (2, 4))
+    scale[0] = 3.0
+    assert same(old.with_problem(problem), am.Hierarchy.uniform(problem, (2, 4)))
+    assert not same(old.with_problem(problem), old)
+
+
 # -- hierarchies that grow and shrink --------------------------------------------------------------------------------
 
 SIZES = (3, 4, 6, 9, 14)

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -32,7 +32,6 @@ from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._reuse import plain, same
 from adaptmg._runtime import OnDemand, one_blas_thread
 from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
 from adaptmg.discrete.elasticity import body_materials
@@ -109,8 +108,37 @@ def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[
     """Names of the parts that may have other values than ``before``; functions may return others."""
     def alike(name: str) -> bool:
         part = getattr(problem, name)
-        return same(part, getattr(before, name)) and (name != "loads" or plain(part))
+        return same(part, getattr(before, name)) and _plain(part)
     return frozenset(name for name in ("material", "supports", "contact", "loads") if not alike(name))
+
+
+def same(a: object, b: object) -> bool:
+    """Whether two parts of problems have the same values."""
+    if a is b:
+        return True
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b)
+    if is_dataclass(a):
+        return all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, Mapping):
+        return list(a) == list(b) and all(same(a[key], b[key]) for key in a)
+    return bool(a == b)
+
+
+def _plain(value: object) -> bool:
+    """Whether a value says all by itself: functions, files and objects of other modules may change unseen."""
+    if value is None or isinstance(value, bool | int | float | str | np.ndarray | np.number):
+        return True
+    if isinstance(value, tuple):
+        return all(map(_plain, value))
+    if isinstance(value, Mapping):
+        return all(map(_plain, value.values()))
+    own = type(value).__module__.partition(".")[0] == __name__.partition(".")[0]
+    return own and is_dataclass(value) and all(_plain(getattr(value, one.name)) for one in fields(value))
 
 
 def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem, changed: frozenset[str]

@@ -23,7 +23,6 @@ from functools import cache
 from pathlib import Path
 
 from adaptmg._fingerprint import Fingerprint, environment, fingerprint
-from adaptmg._reuse import recent, taken_over
 from adaptmg._text import printable
 from adaptmg.study.kept_files import Packed, pack
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, plain_results
@@ -66,11 +65,8 @@ def in_turn(task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, F
     """Run after run, in this process."""
     if task.fingerprint.uses_adaptmg:
         warm()
-    try:
-        for point in points:
-            yield [(point, compute(task.function, point))]
-    finally:
-        recent.kept.clear()
+    for point in points:
+        yield [(point, compute(task.function, point))]
 
 
 def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
@@ -81,8 +77,7 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
     begin = time.perf_counter()
     seconds, outcome = 0.0, Finished()
     try:
-        with taken_over():
-            returned = function(**point)
+        returned = function(**point)
         seconds = time.perf_counter() - begin
         outcome = _sorted_out(returned, point)
     except BaseException as error:  # of sys.exit, asyncio, or a class of the user

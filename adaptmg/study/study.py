@@ -65,9 +65,8 @@ class Study:
     state of libraries, packages edited at run time, modules imported under a name made at run time, annotations, and
     what an object leaves out of its pickle: ``depends`` can name these.
 
-    :meth:`~adaptmg.Hierarchy.uniform` and :meth:`~adaptmg.Hierarchy.graded` take over meshes, matrices and transfers
-    from one of the last runs of the same process where domain and options are the same: in a sweep of friction the
-    first run builds them, and takes longer. The results are the same bit for bit.
+    Runs share nothing. Where only law, loads or material vary, ``grids.with_problem(problem)`` on grids that are made
+    once saves meshes and transfers (:meth:`adaptmg.Hierarchy.with_problem`).
 
     Parameters
     ----------
