@@ -134,7 +134,7 @@ class Hierarchy:
     @classmethod
     def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]] | None = None,
                contact_ratio: float | Mapping[str, float] | None = None,
-               transfer: Transfer | None = None, contact_rows: bool = True, mesher: str = "bisection") -> Hierarchy:
+               transfer: Transfer | None = None, contact_rows: bool = True, mesher: str = "own") -> Hierarchy:
         """Independent (non-nested) meshes, graded towards the contact boundaries.
 
         Parameters
@@ -149,10 +149,10 @@ class Hierarchy:
             without ``sizes`` in the plane such that the shortest contact boundary has 64 elements.
         transfer, contact_rows
             See :meth:`from_meshes`.
-        mesher : {"bisection", "netgen"}
-            What makes small elements: in the plane a triangulation without Netgen, in space bisection of a coarse mesh
-            (of boxes our own, of other solids Netgen's, one a level) and improvement of shapes; or Netgen alone, which
-            takes ten times as long.
+        mesher : {"own", "netgen"}
+            What makes small elements. "own": in the plane a Delaunay triangulation of this package, in space bisection
+            of a coarse mesh (of boxes our own, of other solids Netgen's, one a level) and improvement of shapes.
+            "netgen": Netgen alone, which takes ten times as long and also meshes where "own" fails.
         """
         begin = time.perf_counter()
         from adaptmg.mesh import graded

@@ -64,12 +64,12 @@ _LOOKS, _FLAT = 9, 1e3
 _CLOSER = 0.9
 #: elements across a body by default, coarse to fine, and along a plane contact boundary of the finest mesh
 _ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, 64
-MESHERS = ("bisection", "netgen")
+MESHERS = ("own", "netgen")
 
 
 def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries: str | Sequence[str] = (),
            contact_ratio: float | Mapping[str, float] = 1.0, grading: float = 0.3, *, rounds: int = 1,
-           mesher: str = "bisection") -> MeshArrays:
+           mesher: str = "own") -> MeshArrays:
     """Mesh a domain, finer near some boundaries.
 
     Parameters
@@ -87,11 +87,11 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         Growth of the edge length per distance from contact, above 0 and at most 1.
     rounds : int
         How often Netgen meshes again by the size field (for ratios above 1; not of solids).
-    mesher : {"bisection", "netgen"}
-        What makes small elements: in space bisection of a coarse mesh (of Netgen, of boxes our own) and improvement of
-        shapes, which take a tenth to a twentieth of the time, in the plane a triangulation without Netgen, which takes
-        a fiftieth; or Netgen alone. Solids with faces other than planes, cylinders, cones, spheres and tori are left to
-        Netgen.
+    mesher : {"own", "netgen"}
+        What makes small elements. "own": in the plane a Delaunay triangulation of this package, which takes a fiftieth
+        of Netgen's time; in space bisection of a coarse mesh (of Netgen, of boxes our own) and improvement of shapes,
+        a tenth to a twentieth. "netgen": Netgen alone, which also meshes where "own" fails. Solids with faces other
+        than planes, cylinders, cones, spheres and tori are left to Netgen.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
         return (np.full(len(x), size) if ratio == 1 else
                 np.minimum(size, contact_size + grading * distance_to_boundaries(domain, names, x)))
 
-    if mesher == "bisection" and (mesh := _own(domain, field)) is not None:
+    if mesher == "own" and (mesh := _own(domain, field)) is not None:
         return mesh
     again, sides = (rounds, dict.fromkeys(names, start)) if ratio > 1 else (0, {})
     return _bisected_to(netgen_mesh(domain, lambda x: field(x, start), size, sides, grading, again), field, domain)
@@ -212,7 +212,7 @@ def _cells(domain: Box, field: SizeField) -> MeshArrays:
 
 def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunction],
           max_size: float | Mapping[str, float], rounds: int = 2, *, grading: float = 0.3,
-          mesher: str = "bisection") -> MeshArrays:
+          mesher: str = "own") -> MeshArrays:
     """Mesh a domain by a size field.
 
     Parameters
@@ -264,7 +264,7 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     def wanted(x: np.ndarray) -> np.ndarray:
         return np.minimum(sizes_at(size_function, x), max_size)
 
-    if mesher == "bisection":
+    if mesher == "own":
         if domain.dim == 2:
             refuse_too_many(guessed_nodes(domain, max_size, {}, grading), domain)
             # a look at the field shows whether it asks for too much

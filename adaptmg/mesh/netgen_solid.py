@@ -124,7 +124,7 @@ def _raised(size: float, floor: float) -> float:
 
 def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[str, float] | None = None,
                grading: float = 0.3, size_function: float | Callable[[np.ndarray], np.ndarray] | None = None, *,
-               curvature: float = CURVATURE, mesher: str = "bisection") -> MeshArrays:
+               curvature: float = CURVATURE, mesher: str = "own") -> MeshArrays:
     """Mesh a solid with straight tetrahedra.
 
     Parameters
@@ -142,7 +142,7 @@ def solid_mesh(domain: SolidDomain | Box, size: float, boundary_sizes: Mapping[s
         dip much narrower than the elements around it can be missed.
     curvature : float
         On curved faces edges are at most their radius of curvature over this, about, whatever ``size`` says.
-    mesher : {"bisection", "netgen"}
+    mesher : {"own", "netgen"}
         As of :func:`adaptmg.mesh.graded`.
 
     Returns
@@ -228,7 +228,7 @@ def curved_nodes(domain: Domain, size: float, curvature: float) -> float:
 
 
 def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, curved: float = 0.0,
-               mesher: str = "bisection") -> MeshArrays:
+               mesher: str = "own") -> MeshArrays:
     """Mesh the solid that a process holds; ``curved`` nodes are expected on its round faces."""
     groups = {name: [str(i) for i, face in enumerate(shape.names) if face == name] for name in sizes.boundaries}
     # cut off where powers of it would overflow
@@ -239,8 +239,8 @@ def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
         area = sum(shape.areas[int(i)] for i in parts)
         cells += area * min(shape.scale / sizes.boundaries[name], _ENDLESS) ** 2 / (2 * sizes.grading)
     nodes = refuse_too_many(1.4 * cells, domain)
-    known = candidates(shape.samples) if mesher == "bisection" else None
-    if mesher == "bisection" and known is None:
+    known = candidates(shape.samples) if mesher == "own" else None
+    if mesher == "own" and known is None:
         _LOG.info("Netgen makes all elements of %r, which has faces other than planes, cylinders, cones, spheres and "
                   "tori", domain)
     drafts = [(factor, 1.0) for factor in _FACTORS if known is not None and nodes > _LEAST * factor**3]

@@ -57,7 +57,7 @@ def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float]
 
 def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, grading: float = 0.3,
               size_function: SizeFunction | Mapping[str, SizeFunction] | None = None, *, curvature: float = 2.0,
-              mesher: str = "bisection") -> MeshArrays:
+              mesher: str = "own") -> MeshArrays:
     """Mesh the solids of a STEP file with straight tetrahedra, each solid apart."""
     if not isinstance(domain, StepFile):
         raise TypeError(f"domain must be a StepFile, got {domain!r}")

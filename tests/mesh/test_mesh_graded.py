@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+import adaptmg as am
 from adaptmg.mesh import check_mesh, graded, grading, quality, sized
 from adaptmg.mesh.domains import distance_to_boundaries, require_simple
 from adaptmg.mesh.netgen_plane import equilateral_sizes
@@ -156,8 +157,33 @@ def test_sized_catches_a_strong_field_at_a_corner():
     assert mesh.n_nodes < 2000
 
 
+@pytest.mark.filterwarnings("ignore:friction")
+@pytest.mark.parametrize("name", [name for name, case in am.cases.CASES.items() if case.function().dim == 2])
+def test_netgen_meshes_every_plane_case(name):
+    problem = am.cases.CASES[name].function()
+    sizes, ratio = grading.sensible_sizes(problem.domain, problem.pair_boundaries)
+    energies = []
+    for mesher in grading.MESHERS:
+        grids = am.Hierarchy.graded(problem, sizes[:2], ratio, mesher=mesher)
+        result, mesh = am.solve(grids), grids.finest.mesh
+        assert set(mesh.boundaries) == set(problem.domain.boundaries) and quality(mesh).min_angle > 20
+        energies.append(result.energy)
+    assert energies[0] == pytest.approx(energies[1], rel=0.03)
+
+
+def test_netgen_takes_over_where_triangulation_fails(monkeypatch, caplog):
+    def failing(*_):
+        raise grading.Untriangulated("because")
+
+    asked = graded(SQUARE, 10e-3, "bottom", 4, mesher="netgen")
+    monkeypatch.setattr(grading, "triangulated", failing)
+    with caplog.at_level("INFO", "adaptmg"):
+        np.testing.assert_array_equal(graded(SQUARE, 10e-3, "bottom", 4).points, asked.points)
+    assert "Netgen meshes the domain: because" in caplog.text
+
+
 def test_an_unknown_mesher_is_refused():
-    with pytest.raises(ValueError, match="mesher must be one of 'bisection', 'netgen', got 'gmsh'"):
+    with pytest.raises(ValueError, match="mesher must be one of 'own', 'netgen', got 'gmsh'"):
         graded(SQUARE, 1e-3, mesher="gmsh")
 
 
