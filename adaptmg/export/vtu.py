@@ -114,7 +114,7 @@ def _document(result: Result) -> bytes:
     elements = np.ascontiguousarray(mesh.elements, dtype=np.int64)
     cells: dict[str, np.ndarray] = {"body": mesh.element_body}
     if result.stress_data is not None:
-        cells |= {"stress": result.stresses(), "von_mises": result.von_mises()}
+        cells |= {"stress": result.stress(), "von_mises": result.von_mises()}
     sections = {
         "FieldData": _field_data(result),
         "PointData": {"displacement": _three(result.displacement), "reaction": _three(result.reaction)}

@@ -86,7 +86,7 @@ class Result:
     versions : dict of str to str
         Versions of adaptmg and of the libraries that numbers depend on.
     stress_data : StressData or None
-        Material constants and initial strains, for :meth:`stresses`; None for a bare DiscreteProblem.
+        Material constants and initial strains, for :meth:`stress`; None for a bare DiscreteProblem.
     checked : Certificate or None
         The certificate of the solve.
     supports : dict of str to str
@@ -246,8 +246,6 @@ class Result:
         found, finite = np.full((len(tensors), 3), np.nan), np.isfinite(tensors).all(axis=(1, 2))
         found[finite] = np.linalg.eigvalsh(tensors[finite])[:, ::-1]
         return found
-
-    stresses = stress  # the earlier name
 
     @property
     def energy(self) -> float:

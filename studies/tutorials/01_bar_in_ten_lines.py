@@ -30,6 +30,6 @@ print(result.certificate())
 am.plot.contact(result)
 
 # %%
-# **Next:** change the friction, or take more sizes. ``result.stresses()``, ``result.probe(points)`` and
+# **Next:** change the friction, or take more sizes. ``result.stress()``, ``result.probe(points)`` and
 # ``result.resultant("contact")`` answer further questions.
 # **It depends on** nothing: this is the first tutorial.

@@ -74,8 +74,7 @@ def test_elements_answer_for_their_points_and_nodes_need_recovery():
     result, *_ = stretched(am.PlaneStrain)
     result = replace(result, displacement=1e-3 * np.sin(9 * result.mesh.points))
     inside = result.mesh.points[result.mesh.elements].mean(axis=1)
-    np.testing.assert_array_equal(result.stress(inside), result.stresses())
-    np.testing.assert_array_equal(result.stress(), result.stresses())
+    np.testing.assert_array_equal(result.stress(inside), result.stress())
     nodal = result.stress("nodes", recovered=True)
     np.testing.assert_allclose(result.stress(inside, recovered=True), nodal[result.mesh.elements].mean(axis=1))
     np.testing.assert_allclose(result.stress("elements", recovered=True), nodal[result.mesh.elements].mean(axis=1))
@@ -117,11 +116,11 @@ def test_solved_results_and_steps_of_paths_have_the_stresses_of_their_problem(ki
         loads = [am.InitialStrain("body", tuple(factor * c for c in problem.loads[0].components))]
         wanted = full_stress(result.mesh, problem.material, result.displacement, loads)
         assert np.abs(wanted[:, 0, 0]).max() > 1e6
-        np.testing.assert_allclose(result.stresses(), wanted[:, *AT], rtol=1e-9,
+        np.testing.assert_allclose(result.stress(), wanted[:, *AT], rtol=1e-9,
                                    atol=1e-9 * np.abs(wanted).max())
         np.testing.assert_allclose(result.von_mises(), von_mises(wanted), rtol=1e-9)
         if again is not None:
-            np.testing.assert_array_equal(again.stresses(), result.stresses())
+            np.testing.assert_array_equal(again.stress(), result.stress())
             assert again.stress_data.axisymmetric == (kind is am.Axisymmetric)
 
 
@@ -129,13 +128,13 @@ def test_a_result_without_materials_says_so():
     grids = am.Hierarchy.uniform(squeezed(), divisions=(4,))
     for result in (am.solve(grids.finest.discrete), result_on(square(2)), result_on(None)):
         assert result.stress_data is None
-        for method in (result.stresses, result.von_mises):
+        for method in (result.stress, result.von_mises):
             with pytest.raises(ValueError, match=r"no materials.*bare DiscreteProblem.*StressData\.of"):
                 method()
     given = replace(result_on(square(2)), stress_data=StressData.of(square(2), squeezed().material))
-    assert given.stresses().shape == (8, 6)
+    assert given.stress().shape == (8, 6)
     with pytest.raises(ValueError, match="do not belong to a mesh of 1"):
-        replace(given, stress_data=two_bodies().stress_data).stresses()
+        replace(given, stress_data=two_bodies().stress_data).stress()
 
 
 def answers(result: am.Result) -> list[object]:
