@@ -3,13 +3,13 @@
     python studies/adaptive_vs_uniform.py [--quick | --full] [--out DIR]
 
 Uniform meshes and those of the adaptive loop am.adapt (residual indicator; remeshed by sizes, the default, or
-bisected), each solved by the default method to a tenth of the discretisation error, uniform ones from a nested start on
-a hierarchy of their own. Seconds are processor time with warm kernels for everything: meshes (Netgen's process, too),
-matrices, transfers, solves, estimates; of an adaptive mesh those of all steps before it too. Loops begin with the
-default mesh. Energy errors are against a solution on a bisected mesh with several times the nodes of the finest one.
-Between meshes costs are interpolated along the logarithm of the error. Singular corners and edges slow uniform meshes
-down, so that the gain in nodes grows as the error falls; without them adaptive meshes save a constant factor of nodes
-at most.
+bisected). The loop solves to 1e-6, far below the error of its meshes; uniform meshes have hierarchies of their own and
+are solved from a nested start to a tenth of the discretisation error. Seconds are processor time with warm kernels for
+everything: meshes (Netgen's process, too), matrices, transfers, solves, estimates; of an adaptive mesh those of all
+steps before it too. Loops begin with the default mesh. Energy errors are against a solution on a bisected mesh with
+several times the nodes of the finest one. Between meshes costs are interpolated along the logarithm of the error.
+Singular corners and edges slow uniform meshes down, so that the gain in nodes grows as the error falls; without them
+adaptive meshes save a constant factor of nodes at most.
 """
 
 import json

@@ -1,9 +1,8 @@
 r"""adapt: solve, estimate, mark, refine, and solve again on all meshes so far.
 
 Every mesh becomes the finest level of the hierarchy of those before it; the solution before, carried to it, is the
-start, and cycles go on until the algebraic error is a tenth of the error that the mesh is expected to have. So the
-solves of all meshes together cost little more than that on the last: with meshes that grow by a factor g the nodes of
-all are :math:`1/(1 - 1/g)` times those of the last.
+start. The solves of all meshes together cost little more than that on the last: with meshes that grow by a factor g the
+nodes of all are :math:`1/(1 - 1/g)` times those of the last.
 """
 
 from __future__ import annotations
@@ -67,7 +66,8 @@ def adapt(problem: ContactProblem,
     engine : Remesh, Bisect or an object with ``refine(problem, mesh, estimate, marked, max_nodes=None)``, optional
         See :class:`adaptmg.estimate.step.Engine`. Default ``Remesh()``; ``Bisect()`` for a problem without a domain.
     tolerance : float, optional
-        Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity, and :attr:`Step.settled`).
+        Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity; and :attr:`Step.settled`,
+        or on two meshes in a row).
     max_nodes : int, optional
         No mesh has more; a first mesh that has more is refused, a size that asks for far more before it is meshed.
     max_seconds : float, optional
@@ -83,10 +83,10 @@ def adapt(problem: ContactProblem,
     transfer : Transfer, optional
         Between the meshes; default :class:`adaptmg.transfer.Interpolation`, or that of the hierarchy ``start``.
     solver : Solver, optional
-        For every step; it starts from the step before unless it is a FullMultigrid. Default: truncated
-        multigrid from the step before, until the estimated algebraic error is a tenth of the expected estimate.
+        For every step; it starts from the step before unless it is a FullMultigrid. Default ``Multigrid(rtol=1e-6)``:
+        forces and compliances of every step hold to about 1e-4 of those of its mesh, and mostly far better.
     load_path : LoadPath, optional
-        Every mesh goes along the whole path; by default with ``FullMultigrid(rtol="discretisation")``.
+        Every mesh goes along the whole path; by default with ``FullMultigrid(rtol=1e-6)``.
     adapt_on : {"last", "worst"}
         With a load path: take the estimate of its last load step and refine for it; or the largest relative estimate of
         all load steps, and refine where any of them needs it.

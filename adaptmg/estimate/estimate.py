@@ -46,8 +46,6 @@ class Estimate:
         Parts of the sum of squares by name; they add up to it.
     value, signed : float, optional
         Of a goal: the quantity of the discrete solution, and the estimate of exact minus discrete value.
-    energy_error : float, optional
-        Of a goal: an estimated relative energy error, by which tolerances of solvers are chosen.
 
     Examples
     --------
@@ -62,12 +60,10 @@ class Estimate:
     terms: Mapping[str, float] = field(default_factory=dict)
     value: float | None = None
     signed: float | None = None
-    energy_error: float | None = None
 
     if TYPE_CHECKING:
         def __init__(self, *, squares: ArrayLike, norm: float, indicator: str = "", terms: Mapping[str, float] = ...,
-                     value: float | None = None, signed: float | None = None,
-                     energy_error: float | None = None) -> None: ...
+                     value: float | None = None, signed: float | None = None) -> None: ...
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "squares", _checked_squares("squares", self.squares))
@@ -77,9 +73,9 @@ class Estimate:
         terms = {checks.instance("the keys of terms", name, str, "text"): checks.number(f"terms[{name!r}]", part)
                  for name, part in self.terms.items()}
         object.__setattr__(self, "terms", terms)
-        for name, check in (("value", checks.number), ("signed", checks.number), ("energy_error", checks.nonnegative)):
+        for name in ("value", "signed"):
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, check(name, getattr(self, name)))
+                object.__setattr__(self, name, checks.number(name, getattr(self, name)))
         if (self.value is None) != (self.signed is None):
             raise ValueError("value and signed belong together: give both, or neither")
 
@@ -96,11 +92,6 @@ class Estimate:
             return self.total / size
         infinite = self.total > 0 or (self.value is not None and bool(self.squares.any()))
         return np.inf if infinite else 0.0
-
-    @property
-    def relative_energy(self) -> float:
-        """The estimated relative error in the energy norm."""
-        return self.relative if self.energy_error is None else self.energy_error
 
     def __repr__(self) -> str:
         return shortened(str(self))

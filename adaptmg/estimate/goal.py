@@ -32,7 +32,6 @@ from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import Posed, posed
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.system import ContactState as State
-from adaptmg.solver.examine import energy_norm
 from adaptmg.solver.result import Result
 
 
@@ -141,8 +140,6 @@ class GoalEstimate(Estimate):
 
 #: dofs up to which the adjoint problems are solved directly
 DIRECT = 3000
-#: a signed error smaller than this part of the sum of marks is chance
-_CHANCE = 0.1
 
 
 @dataclass(frozen=True)
@@ -160,9 +157,7 @@ class Goal:
     A quantity that the contact state holds (an opening while all nodes touch, the motion of a node that sticks) has no
     dual field; then elements are marked by the energy of the error, until a finer mesh has another state.
 
-    The signed estimate contains the algebraic error, as far as it leaves the contact state unchanged. It is of first
-    order in the residual: ``energy_error`` of the estimate, by which solvers are stopped, is the energy error that has
-    as large a part in the quantity as the discretisation has, and not the energy error of the discretisation.
+    The signed estimate contains the algebraic error, as far as it leaves the contact state unchanged.
 
     Examples
     --------
@@ -220,7 +215,6 @@ class Goal:
             indicator=f"dual-weighted residuals for {names[0]}" + (f" and {len(names) - 1} more" if len(names) > 1
                                                                    else ""),
             value=1.0 if len(wanted) > 1 else float(values[0]), signed=float(errors[worst] / sizes[worst]),
-            energy_error=_tolerance(view, duals, signed, parts.sum(axis=1), energy),
             names=names, units=tuple(one.unit for one in wanted), values=values, errors=errors, algebraic=algebraic,
             discretisation=energy, residuals=np.array([dual.residual for dual in duals]),
             iterations=sum(dual.iterations for dual in duals), converged=all(dual.converged for dual in duals))
@@ -320,17 +314,3 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
     touches, sticks = contact.state != State.OPEN, contact.sticks[:, None] & ~contact.held
     part -= float(np.sum(np.where(touches & np.isfinite(contact.gap), reaction[:, 0] * contact.gap, 0.0)))
     return part + float(np.sum(np.where(sticks, reaction[:, 1:] * contact.slip, 0.0)))
-
-
-def _tolerance(view: GoalView, duals: list[AdjointSolution], signed: np.ndarray, absolute: np.ndarray,
-               energy: float) -> float:
-    """The relative energy error that has as large a part in a quantity as its discretisation error, for the strictest.
-    By the inequality of Cauchy and Schwarz, |z . r| <= ||z||_A ||e||_A. A signed error may vanish by chance. Of
-    quantities that the contact state holds alone it is ``energy``, that of the discretisation."""
-    matrix, norm = view.posed.discrete.matrix, view.posed.norm
-    sizes = np.array([energy_norm(dual.field, matrix @ dual.field) for dual in duals]) * norm
-    errors = np.maximum(np.abs(signed), _CHANCE * absolute)
-    counts = (sizes > 0) & (errors > 0)
-    if counts.any():
-        return float((errors[counts] / sizes[counts]).min())
-    return energy if errors.any() else 0.0

@@ -131,7 +131,7 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     mesh, contact, near = this.mesh, this.result.contact, this.neighbours
     complementarity, friction = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
     opens = contact.state == State.OPEN
-    pressures, gaps = np.where(opens, 0.0, contact.pressure), np.where(opens, np.maximum(contact.gap, 0.0), 0.0)
+    pressures, gaps = contact.pressure, np.where(opens, np.maximum(contact.gap, 0.0), 0.0)
     limits, tractions = _friction(this, opens)
     slips = from_frames(contact.frames[:, 1:], contact.slip)
     for k, name in enumerate(contact.names):

@@ -57,7 +57,8 @@ class Step(Generic[Found]):
     hierarchy : Hierarchy
         All levels that were used; its finest is the mesh of the step.
     result : Result
-        On it; of a load path that of the load step by which the mesh is refined.
+        On it, solved to ``result.rtol`` (by default 1e-6, far below the estimate, so that forces and compliances hold);
+        of a load path that of the load step by which the mesh is refined.
     estimate : Estimate
     timings : dict of str to float
         Seconds of this step by phase: "mesh" (marking and refining the mesh before), "assembly", "transfer", "levels"
@@ -71,7 +72,7 @@ class Step(Generic[Found]):
     settled : bool or None
         Of a goal: whether its signed estimates have the sign of those of the mesh before, and are no smaller than the
         change of the corrected values since then; False on the first mesh. While they are not, the printed step says
-        "not settled", and the loop does not end by ``tolerance``. None for energy norms.
+        "not settled", and only two meshes in a row below it end the loop by ``tolerance``. None for energy norms.
     outcome : str
         Why the loop stopped after this step; empty as long as it has not.
 
@@ -128,8 +129,8 @@ class Step(Generic[Found]):
         return pandas.DataFrame([
             {"step": step.number, "nodes": step.nodes, "levels": len(step.hierarchy),
              "contact_nodes": len(step.result.contact), "estimate": step.estimate.relative,
-             "status": step.result.status.name, "cycles": step.result.cycles, "work_units": step.work_units,
-             "total_work_units": step.total_work_units, "seconds [s]": step.seconds,
+             "status": step.result.status.name, "rtol": step.result.rtol, "cycles": step.result.cycles,
+             "work_units": step.work_units, "total_work_units": step.total_work_units, "seconds [s]": step.seconds,
              "total_seconds [s]": step.total_seconds, "pressure [Pa]": step.result.max_pressure}
             for step in steps])
 
@@ -140,22 +141,6 @@ class Step(Generic[Found]):
                 f"{self.estimate.relative:>9.3%} {self.result.cycles:>6} {self.work_units:>6.1f} "
                 f"{self.total_work_units:>6.1f} {self.seconds:>8.3f} {self.total_seconds:>8.3f}")
         return "  ".join([line, *["not settled"] * (self.settled is False), *filter(None, [self.outcome])])
-
-
-#: share of the expected estimate that the algebraic error may have
-SHARE = 0.1
-#: bounds of the tolerances that come from it: coarse meshes are cheap, and what is exact needs no more than this
-LOOSEST, TIGHTEST = 3e-2, 1e-10
-
-
-def expected_estimate(before: Step, nodes: int, dim: int) -> float:
-    """The relative energy error that a mesh of this number of nodes should have after a step."""
-    return before.estimate.relative_energy * (before.nodes / nodes) ** (1 / dim)
-
-
-def algebraic_tolerance(expected: float) -> float:
-    """Tolerance of a solve, relative to ||u||_A, on a mesh with an expected relative energy error; three digits."""
-    return float(f"{min(max(SHARE * expected, TIGHTEST), LOOSEST):.3g}")
 
 
 def expected_seconds(steps: Sequence[Step], limits: Limits) -> float:

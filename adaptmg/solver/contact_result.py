@@ -152,13 +152,13 @@ class ContactResult:
 
     @property
     def pressure(self) -> np.ndarray:
-        """Compressive nodal force over lumped boundary mass (n,), Pa."""
-        return self.force_n / self.weights
+        """Compressive nodal force over lumped boundary mass (n,), Pa; 0 at open nodes."""
+        return np.where(self.closed, self.force_n / self.weights, 0.0)
 
     @property
     def traction(self) -> np.ndarray:
-        """Tangential nodal force over lumped boundary mass (n, dim - 1), Pa."""
-        return self.force_t / self.weights[:, None]
+        """Tangential nodal force over lumped boundary mass (n, dim - 1), Pa; 0 at open nodes."""
+        return np.where(self.closed[:, None], self.force_t / self.weights[:, None], 0.0)
 
     @property
     def normal(self) -> np.ndarray:

@@ -107,8 +107,8 @@ class KeptMultigrid(TruncatedRun):
         self.run.start_work_units = self.run.work_units
         return result
 
-    def finish(self, unknowns: np.ndarray, cold: bool, first_rate: float | None = None) -> Outcome:
-        outcome = super().finish(unknowns, cold, first_rate)
+    def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
+        outcome = super().finish(unknowns, cold)
         self.spent = bool(self.run.fallback)
         return outcome
 

@@ -183,27 +183,3 @@ class FullMultigrid(Multigrid):
         if start is not None:
             raise ValueError("start: FullMultigrid makes its own start; use Multigrid to continue from a given one")
         return self._method(hierarchy, run).from_nested(self.start)
-
-
-@dataclass(frozen=True, kw_only=True)
-class WarmMultigrid:
-    """The truncated multigrid from a start whose contact status is believed; it may stop after one cycle. A solution
-    carried to a finer mesh has an algebraic error of some tenths of the discretisation error, and most contact nodes
-    are in their state: no safe cycles are taken. The rate of the first cycle, measured on the mesh before, estimates
-    the error that this cycle leaves; the certificate decides."""
-
-    rtol: float = 1e-8
-    max_cycles: int = 100
-    first_rate: float = 0.5  # what is taken for the rate of the first cycle, > 0 and < 1
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
-        checks.integer("max_cycles", self.max_cycles, 1)
-        if not 0 < checks.number("first_rate", self.first_rate) < 1:
-            raise ValueError(f"first_rate must be > 0 and < 1, got {self.first_rate!r}")
-
-    def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        if start is None:
-            raise ValueError("start must be a displacement for WarmMultigrid, got None: use FullMultigrid without one")
-        options = TruncatedMultigrid(parts=Truncated(), rtol=self.rtol, max_cycles=self.max_cycles)
-        return TruncatedRun(options, hierarchy, run).from_given(start, self.first_rate)

@@ -46,10 +46,8 @@ from adaptmg.solver.record import Outcome, Run, Status
 class TruncatedIteration(StopTest):
     """Cycles on one level, measured after the smoothing, and their test; see :func:`~adaptmg.solver.iterate.iterate`.
     ``run`` asks the certificate and keeps the history. ``cold``: the contact status of the start is unknown.
-    ``first_rate`` is the rate of the first cycle for a start that is nearly solved: one cycle may then do, and friction
-    is frozen as long as the residual contradicts such a start. ``nested`` is the start (n_dofs,) from which
-    ``rtol="discretisation"`` is measured. ``hands_over``: end where the tolerance is out of reach at the present
-    speed."""
+    ``nested`` is the start (n_dofs,) from which ``rtol="discretisation"`` is measured. ``hands_over``: end where the
+    tolerance is out of reach at the present speed."""
 
     #: the energy of the coarse correction misses what the smoothing removes, and all the corrections that follow: the
     #: error is up to the larger of SAFETY and TAIL / (1 - rate) times larger
@@ -70,13 +68,13 @@ class TruncatedIteration(StopTest):
     WINDOW, MOST = 12, 0.7
 
     def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
-                 run: Run | None = None, cold: bool = False, first_rate: float | None = None,
-                 nested: np.ndarray | None = None, hands_over: bool = False) -> None:
+                 run: Run | None = None, cold: bool = False, nested: np.ndarray | None = None,
+                 hands_over: bool = False) -> None:
         super().__init__(0.0 if rtol == "discretisation" else rtol, limit, Sizes(problem))
         self.multigrid, self.problem, self.run = multigrid, problem, run
         self.cycles = self.changed = 0
         self.residuals: list[float] = []
-        self._first_rate, self._nested, self._hands_over = first_rate, nested, hands_over
+        self._nested, self._hands_over = nested, hands_over
         self._most, self._safe = self.SAFE_CYCLES, self.SAFE_CYCLES if cold else 0
         self._first, self._since = np.nan, 0
 
@@ -90,8 +88,7 @@ class TruncatedIteration(StopTest):
         # each cycle only where the displacement has to grow into prescribed values
         if self.cycles % 4 == 0 or sizes.prescribed:
             self.size = sizes.norm(multigrid.unknowns, multigrid.energy())
-        trusted = np.inf if self._first_rate is None else self.TRUSTED * sizes.forces(multigrid.unknowns, 0.0)
-        state = multigrid.linearise(self._safe > 0, trusted)
+        state = multigrid.linearise(self._safe > 0)
         self.changed = state.changed
         self._safe = self._safe - 1 if self._safe > 0 and state.changed else 0
         early = self.cycles < 2
@@ -141,11 +138,6 @@ class TruncatedIteration(StopTest):
     @property
     def stalled(self) -> bool:
         return self._no_new_minimum(self.residuals)
-
-    @property
-    def safe_rate(self) -> float:
-        """See :class:`~adaptmg.solver.iterate.StopTest`; after one cycle the first rate."""
-        return self._first_rate if self._first_rate is not None and len(self.changes) == 1 else super().safe_rate
 
     def shortfall(self) -> float | None:
         """See :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate can be better."""
@@ -288,12 +280,11 @@ class TruncatedRun:
                                      parts.coarse_smoother)
         self.problems: list[DiscreteProblem | None] = [getattr(level, "discrete", None) for level in hierarchy.levels]
 
-    def from_given(self, start: np.ndarray | None, first_rate: float | None = None) -> Outcome:
-        """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero. ``first_rate``: the start is
-        nearly solved; see :class:`~adaptmg.solver.truncated.TruncatedIteration`."""
+    def from_given(self, start: np.ndarray | None) -> Outcome:
+        """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero."""
         problem = self.problems[-1]
         return self.finish(np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start),
-                           cold=first_rate is None, first_rate=first_rate)
+                           cold=True)
 
     def from_nested(self, start: NestedStart) -> Outcome:
         return self.finish(self.nested_start(start), cold=False)
@@ -327,14 +318,13 @@ class TruncatedRun:
         before, here, after = (1 / mesh.n_nodes for mesh in meshes)
         return (here - after) / (before - here)
 
-    def finish(self, unknowns: np.ndarray, cold: bool, first_rate: float | None = None) -> Outcome:
+    def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
         o, problem = self.options, self.problems[-1]
         nested = unknowns.copy() if o.rtol == "discretisation" else None
         step = self._step(len(self.hierarchy) - 1, unknowns)
         del unknowns  # long vectors limit the size of a problem
         with self.run.phase("cycles"):
             cycles = TruncatedIteration(step, problem, o.rtol, o.max_cycles, run=self.run, cold=cold, nested=nested,
-                                        first_rate=first_rate,
                                         hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
             status = iterate(cycles, cycles, self.run)
         displacement = problem.with_prescribed(step.unknowns).reshape(-1, problem.dim)

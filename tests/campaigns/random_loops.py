@@ -227,7 +227,7 @@ def step_faults(step: am.Step, first: MeshArrays, indicator: Any, curved: bool, 
     error, whole = (discrete.relative(u).reshape(-1) for u in (exact.displacement - step.result.displacement,
                                                                exact.displacement))
     share = math.sqrt(max(error @ (discrete.matrix @ error), 0.0) / (whole @ (discrete.matrix @ whole)))
-    share /= max(step.estimate.relative_energy, 1e-300)
+    share /= max(getattr(step.estimate, "discretisation", step.estimate.relative), 1e-300)
     row["share"], row["cycles"] = max(row["share"], share), max(row["cycles"], step.result.cycles)
     if not isinstance(indicator, am.Goal):
         if step.number and share > SHARE:

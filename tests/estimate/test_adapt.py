@@ -1,4 +1,4 @@
-"""am.adapt: steps are solved as exactly as meshes deserve, limits end it with a reason, parts may be user-defined,
+"""am.adapt: results of all steps carry the load, limits end it with a reason, parts may be user-defined,
 neighbouring levels are neither too far apart nor too close."""
 
 import itertools
@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 import adaptmg as am
 from adaptmg.estimate import loop as solving
-from adaptmg.estimate.loop import CLOSE, RATIO, THINNED, appended, carried, posed_at, thinned
-from adaptmg.estimate.step import Limits, algebraic_tolerance, expected_estimate, expected_seconds
+from adaptmg.estimate.loop import CLOSE, RATIO, RTOL, THINNED, appended, carried, posed_at, thinned
+from adaptmg.estimate.step import Limits, expected_seconds
 from adaptmg.mesh import structured
 from adaptmg.multigrid import split_matrix
 from adaptmg.transfer import size_ratio
@@ -33,14 +33,22 @@ def steps(case: str) -> list[am.Step]:
     return loop(upset(), max_nodes=1500) if case == "upset" else loop(am.cases.dovetail(), max_nodes=800)
 
 
-@pytest.mark.parametrize(("case", "cycles"), [("upset", 2), ("pair", 4)])
-def test_each_step_is_as_exact_as_a_tenth_of_its_estimate_in_few_cycles(case, cycles):
-    for step in steps(case)[1:]:
-        discrete = step.hierarchy.finest.discrete
-        exact = am.solve(step.hierarchy, am.ActiveSet(rtol=1e-12)).displacement
-        error = discrete.relative(step.result.displacement - exact).reshape(-1)
-        assert float(np.sqrt(error @ (discrete.matrix @ error))) <= 0.1 * step.estimate.total
-    assert np.mean([step.result.cycles for step in steps(case)[2:]]) <= cycles
+def test_forces_and_compliances_of_every_step_are_those_of_its_mesh():
+    # a beam of 18 : 1 that bends onto a plane: energy errors of 1e-2 are forces wrong by 4 %
+    beam = am.ContactProblem(
+        domain=am.Polygon(vertices=[(0, 0), (0.02, 0), (0.2, 0), (0.2, 0.01), (0, 0.01)],
+                          boundaries=("free", "contact", "right", "top", "left")),
+        material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Frictionless(), loads=(am.Pressure("top", 2e4),),
+        contact=am.Contact("contact", am.Plane((0, -2e-5), (0, 1))), supports=(am.Support("left", x=0.0, y=0.0),))
+    for problem in (beam, am.cases.hertz_cylinder()):
+        found = loop(problem, None, max_nodes=1500)
+        for step in found:
+            exact = am.solve(step.hierarchy, am.ActiveSet(rtol=1e-10), start=step.result)
+            assert step.result.contact.force_n.sum() == pytest.approx(exact.contact.force_n.sum(), rel=1e-4)
+            assert step.result.energy == pytest.approx(exact.energy, rel=1e-4)
+            table = step.result.contact.table()
+            assert (table[table["state"] == "open"]["pressure [Pa]"] == 0).all()
+        assert len(found) >= 4 and set(am.Step.table(found)["rtol"][1:]) == {RTOL}
 
 
 @pytest.mark.parametrize(("gap", "slide"), [(10e-3, 0.0), (0.0, 1e-3)], ids=["far gap", "far slip"])
@@ -56,22 +64,18 @@ def test_the_estimate_is_that_of_the_discrete_solution_however_far_bodies_are_or
         assert step.estimate.total == pytest.approx(am.Residual().indicate(step.hierarchy, exact).total, rel=0.05)
 
 
-def test_meshes_grow_the_estimate_falls_and_the_tolerance_is_a_tenth_of_what_is_expected():
+def test_meshes_grow_the_estimate_falls_and_the_solves_cost_little_more_than_the_last():
     found = steps("upset")
     for number, (before, step) in enumerate(itertools.pairwise(found), start=1):
         assert step.number == number and before.nodes < step.nodes <= 1500
-        expected = before.estimate.relative * (before.nodes / step.nodes) ** 0.5
-        assert step.result.rtol == pytest.approx(min(0.1 * expected, 3e-2), rel=5e-3)
-        # a few elements at a singularity gain more than their number
-        assert expected == pytest.approx(step.estimate.relative, rel=0.3 if step.number > 2 else 0.5)
     assert found[-1].estimate.relative < 0.3 * found[0].estimate.relative
     assert [bool(step.outcome) for step in found] == [False] * (len(found) - 1) + [True]
     assert "max_nodes" in found[-1].outcome and found[-1].outcome in repr(found[-1])
     matrices = [step.hierarchy.finest.matrix.nnz for step in found]
     total = sum(step.work_units * nonzeros for step, nonzeros in zip(found, matrices, strict=True))
     assert found[-1].total_work_units == pytest.approx(total / matrices[-1])
-    alone = am.solve(found[-1].hierarchy, am.FullMultigrid(rtol="discretisation"))
-    assert found[-1].total_work_units <= 1.3 * alone.work_units
+    alone = am.solve(found[-1].hierarchy, am.FullMultigrid(rtol=RTOL))
+    assert found[-1].total_work_units <= 2 * alone.work_units
     assert found[-1].total_seconds == pytest.approx(sum(step.seconds for step in found))
     assert {"solve", "estimate"} <= set(found[-1].timings) and all(s >= 0 for s in found[-1].timings.values())
 
@@ -117,18 +121,27 @@ class Scripted:
 
 
 def test_a_tolerance_is_not_met_by_an_estimate_that_is_not_settled():
-    early = Scripted(*({"value": value, "signed": signed, "energy_error": 1e-3} for value, signed in (
+    early = Scripted(*({"value": value, "signed": signed} for value, signed in (
         (1.0, -1e-9), (1.001, 1e-2), (1.01, 1e-3), (1.011, 1e-4), (1.0111, 1e-5))))
     found = loop(indicator=early, tolerance=1e-3)
     assert [step.settled for step in found] == [False, False, True]
     assert found[-1].outcome.startswith("tolerance met")
+    # it is met where it is met twice, whatever the signs are
+    never = Scripted(*({"value": 1.0, "signed": signed} for signed in (2e-2, -1e-2, 9e-4, -8e-4, 7e-4)))
+    found = loop(indicator=never, tolerance=1e-3)
+    assert len(found) == 4 and found[-1].settled is False and found[-1].outcome.startswith("tolerance met")
 
 
 def test_small_shares_of_a_quantity_are_not_rounding():
-    for energy, ends in ((1e-9, False), (1e-16, True)):
-        small = Scripted(*[{"value": 1.0, "signed": 1e-3, "energy_error": energy}] * 9, square=lambda n: 1e-3)
+    for square, ends in ((1e-9, False), (1e-17, True)):
+        small = Scripted(*[{"value": 1.0, "signed": 1e-3}] * 9, square=lambda n, square=square: square)
         found = loop(indicator=small, max_nodes=60)
         assert ("rounding" in found[-1].outcome) == ends and (len(found) == 1) == ends
+    # of several quantities one that equilibrium gives says nothing about the others
+    given = am.ContactForce("bottom", "normal")
+    assert "rounding" in loop(am.cases.greco_bar(), None, am.Goal(given), max_nodes=400)[-1].outcome
+    both = loop(am.cases.greco_bar(), None, am.Goal([given, am.MeanDisplacement("top", "y")]), max_nodes=400)
+    assert len(both) > 1 and "max_nodes" in both[-1].outcome
 
 
 def test_estimates_that_grow_on_coarse_meshes_end_nothing_and_those_that_do_not_fall_end_the_loop():
@@ -195,7 +208,7 @@ def test_nothing_to_refine_ends_the_loop_and_an_engine_that_makes_too_much_does_
     assert loop(engine=SimpleNamespace(refine=refine), max_nodes=300)[-1].nodes <= 300 and min(bounds) < 300
 
 
-def test_it_starts_from_a_mesh_or_a_hierarchy_with_any_solver_and_transfer(monkeypatch):
+def test_it_starts_from_a_mesh_or_a_hierarchy_with_any_solver_and_transfer():
     problem = upset()
     mesh = structured(problem.domain, 5)
     assert loop(problem, mesh, max_nodes=120)[0].hierarchy.finest.mesh is mesh
@@ -209,12 +222,6 @@ def test_it_starts_from_a_mesh_or_a_hierarchy_with_any_solver_and_transfer(monke
     found = loop(solver=am.FullMultigrid(rtol=1e-6), transfer=transfer, max_nodes=100)
     assert [step.result.rtol for step in found[1:]] == [1e-6] * (len(found) - 1) and found[0].result.rtol <= 1e-6
     assert found[-1].hierarchy.transfer is transfer
-    # a warm start that fails is replaced, and its work counts
-    monkeypatch.setattr(solving, "WarmMultigrid", lambda **options: am.Multigrid(rtol=1e-12, max_cycles=1))
-    found = loop(max_nodes=60)
-    assert all(step.result.status.ok and "FullMultigrid" in step.result.solver_name for step in found[1:])
-    alone = am.solve(found[-1].hierarchy, am.FullMultigrid(rtol=found[-1].result.rtol))
-    assert found[-1].work_units > alone.work_units
     with pytest.raises(am.NotConverged):
         loop(solver=am.SingleGrid(max_sweeps=1), max_nodes=900)
 
@@ -379,10 +386,8 @@ def test_a_carried_solution_keeps_its_contact_state(case):
     assert np.mean(closed == (fine.contact.state != am.OPEN)) >= 0.85
 
 
-def test_tolerances_and_the_end_are_expected():
+def test_the_end_is_expected():
     *_, last = steps = list(am.adapt(upset(), 8e-3, engine=am.Bisect(), max_nodes=150))
-    assert expected_estimate(last, 4 * last.nodes, 2) == pytest.approx(last.estimate.relative / 2)
-    assert [algebraic_tolerance(one) for one in (0.03, 0.5, 0.0)] == [0.003, 3e-2, 1e-10]
     by_nodes = expected_seconds(steps, Limits(max_nodes=10 * last.nodes))
     assert by_nodes == pytest.approx(10 * last.total_seconds)
     assert expected_seconds(steps, Limits(max_nodes=10 * last.nodes, max_seconds=1.5 * last.total_seconds)) < by_nodes

@@ -70,7 +70,7 @@ DOORS = {
     am.Coulomb: {"friction": 0.3}, am.Tresca: {"limit": 1.0}, am.Cycle: {"shape": "V", "pre": 2, "post": 1},
     am.Cylinder: {"point": (0.0, 0.0, 0.0), "axis": (0.0, 0.0, 1.0), "radius": 1.0, "height": 1.0},
     am.Displacement: {"points": (0.0, 0.0), "component": "x", "body": "a"}, am.Doerfler: {"theta": 0.5},
-    am.Estimate: {"squares": (1.0,), "norm": 1.0, "terms": {}, "energy_error": 1.0},
+    am.Estimate: {"squares": (1.0,), "norm": 1.0, "terms": {}},
     am.Extrusion: {"polygon": SQUARE, "height": 1.0, "base": 0.0}, am.GapFunction: {"function": len},
     am.Multigrid: {"cycle": am.Cycle(), "smoother": am.ProjectedGaussSeidel(), "correction": am.Monotone(),
                    "coarse": am.CoarseSolve(), "coarse_matrices": "galerkin", "stop": "error", "rtol": 0.1,

@@ -51,7 +51,7 @@ def large(folder: Path) -> list[object]:
     with pytest.raises(am.NotConverged) as caught:
         am.solve(grids, am.SingleGrid(max_sweeps=2))
     study = am.Study(rows, {"n": list(range(1, 200))}, folder / "s.sqlite")
-    estimate = am.GoalEstimate(squares=np.ones(9), norm=1.0, indicator="goal", value=1.0, signed=0.1, energy_error=0.1,
+    estimate = am.GoalEstimate(squares=np.ones(9), norm=1.0, indicator="goal", value=1.0, signed=0.1,
                                names=tuple(f"u_y at {k}" for k in range(n)), units=("m",) * n, values=np.ones(n),
                                errors=np.ones(n), algebraic=np.ones(n), discretisation=0.1, residuals=np.ones(n))
     goal = am.Displacement(points=points, component="y")
