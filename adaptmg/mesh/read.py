@@ -11,6 +11,7 @@ from __future__ import annotations
 import gzip
 import re
 import sys
+import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -173,7 +174,7 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
         surfaces (3D: volumes) bodies; groups without a name are called by their number. Of second-order elements the
         corners are read. Points of no element (centres of circles) are dropped.
     unnamed : str, optional
-        Name for the boundary facets that belong to no physical group. By default there must be none.
+        Name for the boundary facets that belong to no physical group; default "free", which a warning says.
     split_bodies : bool
         Give each body separate nodes, so that bodies touch only through contact. Boundaries are then called
         "body.boundary" (a "." in the name of a body becomes "_"); a physical curve or surface between two bodies is a
@@ -187,8 +188,8 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
     Raises
     ------
     FileNotFoundError, ValueError
-        If there is no such file; if it cannot be read, has other elements, is not plane, lacks physical groups, or is
-        not sound (:func:`adaptmg.mesh.check_mesh`).
+        If there is no such file; if it cannot be read, has other elements, is not plane, has no physical surfaces (3D:
+        volumes), or is not sound (:func:`adaptmg.mesh.check_mesh`).
 
     Examples
     --------
@@ -225,12 +226,15 @@ def from_gmsh(path: str | Path, *, unnamed: str | None = None, split_bodies: boo
                          "4.1 all entities that are saved need a physical group: set Mesh.SaveAll = 0 or "
                          "Mesh.MshFileVersion = 2.2") from error
     try:
-        tables = _tables(points, blocks, groups, unnamed or "")
-        if split_bodies:
-            tables = _split(tables)
-        return _named(tables, unnamed is not None, split_bodies)
+        tables = _tables(points, blocks, groups, unnamed or "free")
+        mesh, rest = _named(_split(tables) if split_bodies else tables, split_bodies)
     except ValueError as error:
         raise ValueError(f"{str(path)!r}: {error}") from error
+    if len(rest) and unnamed is None:
+        place = ", ".join(f"{c:.6g}" for c in rest[0])
+        warnings.warn(f"{str(path)!r}: {len(rest)} facets of the boundary, one of them at ({place}), belong to no "
+                      'physical group and are called "free"; unnamed= gives them another name', stacklevel=2)
+    return mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,23 +307,20 @@ def _split(tables: _Tables) -> _Tables:
                    row[there], label[there], boundaries)
 
 
-def _named(tables: _Tables, unnamed: bool, split: bool) -> MeshArrays:
-    """The checked mesh; facets of one element only that have no name get the first one, of each body if split."""
+def _named(tables: _Tables, split: bool) -> tuple[MeshArrays, np.ndarray]:
+    """The checked mesh, and midpoints of the facets of one element only that got the first name, of each body if split.
+    """
     n_nodes = len(tables.points)
     table = facet_table(tables.elements, n_nodes)
     outer = table.counts == 1
     row = table.find(facet_keys(tables.facets, n_nodes))
     outer[row[row >= 0]] = False
     rest, owner = table.facets[outer], table.first[outer]
-    if len(rest) and not unnamed:
-        what = "Physical Curve" if tables.points.shape[1] == 2 else "Physical Surface"
-        place = ", ".join(f"{c:.6g}" for c in tables.points[rest[0]].mean(axis=0))
-        raise ValueError(f"{len(rest)} facets of the boundary, one of them at ({place}), belong to no physical group; "
-                         f'name them in Gmsh, like {what}("contact") = {{1}};, or here by unnamed="free"')
     label = tables.body[owner] * (len(tables.boundaries) // len(tables.bodies)) * split
     facets, labels = np.concatenate([tables.facets, rest]), np.concatenate([tables.label, label])
-    return check_stranger(normalised(tables.points, tables.elements, facets, labels, tables.boundaries, tables.body,
+    mesh = check_stranger(normalised(tables.points, tables.elements, facets, labels, tables.boundaries, tables.body,
                                      tables.bodies))
+    return mesh, tables.points[rest].mean(axis=1)
 
 
 def _from_netgen_file(path: Path) -> MeshArrays:

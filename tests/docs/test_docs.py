@@ -65,14 +65,28 @@ def test_examples_of_the_readme_run(tmp_path, monkeypatch):
 
 
 def given(tmp_path):
-    """What the pages of the documentation take as known: a matrix from another code, a gmsh file."""
+    """What the pages of the documentation take as known: a matrix from another code, gmsh files, a result."""
     problem = am.cases.greco_bar()
     meshes = [am.mesh.structured(problem.domain, n) for n in (16, 32)]
     fine = am.discretise(problem, meshes[1])
-    write(tmp_path / "bar.msh", replace(meshes[1], bodies=("bar",), source=None))
+    for name, mesh in zip(("coarse", "fine"), meshes, strict=True):
+        write(tmp_path / f"{name}.msh", replace(mesh, bodies=("bar",), source=None), keep=slice(0, 3, 2))
     contact = fine.contact
-    return {"problem": problem, "coarse": meshes[0], "A": fine.matrix, "b": fine.load, "fixed": fine.fixed,
+    return {"problem": problem, "A": fine.matrix, "b": fine.load, "fixed": fine.fixed,
             "x": fine.coordinates, "i": contact.nodes, "n": contact.normals, "g": contact.gaps}
+
+
+def test_short_answers_are_right():
+    problem = am.cases.greco_bar()
+    grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
+    names = {"am": am, "grids": grids, "problem": problem, "other": am.cases.greco_bar(law=am.Coulomb(0.3)),
+             "mesh": grids.finest.mesh, "result": am.solve(grids), "steps": list(am.adapt(problem, max_nodes=200)),
+             "x": 0.01, "y": 0.02, "points": [(0.01, 0.02)]}
+    answers = (ROOT / "studies" / "docs" / "howto" / "questions.rst").read_text(encoding="utf-8")
+    expressions = re.findall(r"``((?:am|grids|result)\.[^`]*)``", answers)
+    assert len(expressions) > 15
+    for expression in expressions:
+        eval(expression.replace('"boundary"', '"bottom"').replace("am.set_threads(2)", "am.set_threads(1)"), names)
 
 
 @pytest.mark.slow

@@ -45,8 +45,8 @@ def test_gmsh_round_trip(tmp_path, mesh, version, binary):
 @BOTH
 def test_facets_without_a_group(tmp_path, mesh):
     path = write(tmp_path / "mesh.msh", mesh, groups=False)
-    with pytest.raises(ValueError, match=r"mesh.msh.*belong to no physical group; name them in Gmsh, like Physical"):
-        from_gmsh(path)
+    with pytest.warns(UserWarning, match=rf"mesh.msh'?: {len(mesh.facets)} facets .* belong to no physical group"):
+        assert from_gmsh(path).boundaries == ("free",)
     everything = from_gmsh(path, unnamed="rim")
     assert everything.boundaries == ("rim",) and len(everything.facets) == len(mesh.facets)
     some = from_gmsh(write(path, mesh, keep=slice(0, 2)), unnamed="free")
@@ -138,8 +138,8 @@ def test_split_bodies_share_no_nodes(tmp_path, shared):
 def test_an_interface_without_a_name_and_dots_in_names(tmp_path):
     path = write_cubes(tmp_path / "m.msh", shared=True, skip=(12,), names=("a.1", "upper"))
     assert from_gmsh(path).boundaries == ("base", "lid", "wall") and from_gmsh(path).bodies == ("a.1", "upper")
-    with pytest.raises(ValueError, match=r"4 facets of the boundary, one of them at \(.*belong to no physical group"):
-        from_gmsh(path, split_bodies=True)
+    with pytest.warns(UserWarning, match=r"4 facets of the boundary, one of them at \(.*belong to no physical group"):
+        assert "upper.free" in from_gmsh(path, split_bodies=True).boundaries
     mesh = from_gmsh(path, split_bodies=True, unnamed="joint")
     # a dot would be read as body.boundary
     assert set(mesh.boundaries) == {"a_1.base", "a_1.wall", "a_1.joint", "upper.lid", "upper.wall", "upper.joint"}
