@@ -29,7 +29,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._files import waiting_folder, write_bytes
+from adaptmg._files import make_folder, waiting_folder, write_bytes
 from adaptmg._text import printable
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.solver.result import Result
@@ -62,8 +62,8 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     results : sequence of Result
         With meshes, one a step.
     path : path
-        The ``.pvd`` file, which is returned. The steps lie next to it (``run_0000.vtu``, ...). It is written last, so
-        that all it lists is there.
+        The ``.pvd`` file, which is returned. Its folder is made where it is missing. The steps lie next to it
+        (``run_0000.vtu``, ...). It is written last, so that all it lists is there.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ...
 
@@ -90,6 +90,7 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         if stat.S_ISDIR(target.stat().st_mode):
             raise IsADirectoryError(f"path must be a .pvd file, but {str(target)!r} is a folder")
     names = [f"{target.stem}_{k:04d}.vtu" for k in range(len(results))]
+    make_folder("path", target.parent)
     with waiting_folder(target.parent) as waiting:
         for name, result in zip(names, results, strict=True):
             write_bytes(waiting / name, _document(result))

@@ -95,7 +95,7 @@ def _listed(pvd) -> list[tuple[float, str]]:
 
 def test_a_series_lists_every_step_and_replaces_an_older_one(tmp_path):
     for steps, times in ((_steps(3), (0.5, 1.0, 4.0)), (_steps(4)[2:], None)):
-        pvd = vtk_series(steps, tmp_path / "run.pvd", times)
+        pvd = vtk_series(steps, tmp_path / "deep" / "down" / "run.pvd", times)
         listed = _listed(pvd)
         assert [time for time, _ in listed] == list(times or (0.0, 1.0))
         for (_, name), step in zip(listed, steps, strict=True):
@@ -132,8 +132,7 @@ def test_a_series_whose_steps_cannot_all_be_put_in_place_has_no_list(tmp_path, m
 @pytest.mark.parametrize(("call", "error", "message"), [
     (lambda to: vtk(result_on(None), to / "r.vtu"), ValueError, "no mesh"),
     (lambda to: vtk_series([], to / "run.pvd"), ValueError, "at least one step"),
-    (lambda to: vtk_series(_steps(1), to / "run.vtu"), ValueError, r"must end in \.pvd"),
-    (lambda to: vtk_series(_steps(1), to / "nowhere" / "deep" / "run.pvd"), FileNotFoundError, "nowhere")])
+    (lambda to: vtk_series(_steps(1), to / "run.vtu"), ValueError, r"must end in \.pvd")])
 def test_bad_arguments_are_refused_and_nothing_is_written(tmp_path, call, error, message):
     with pytest.raises(error, match=message):
         call(tmp_path)
