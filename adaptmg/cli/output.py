@@ -175,7 +175,7 @@ def write(directory: Path | None, solved: Solved) -> list[Path]:
     if solved.steps:
         pictures["adaptation"] = lambda: am.plot.adaptation(solved.steps)
     if result.path:
-        pictures["path"] = lambda: am.plot.path(result)
+        pictures["cycles"] = lambda: am.plot.path(result)
     return files + [_picture(directory / f"{name}.png", draw()) for name, draw in pictures.items()]
 
 

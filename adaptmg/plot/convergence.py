@@ -136,9 +136,9 @@ def _stops(entries: list[tuple[int, str, int]]) -> list[_Stop]:
     arrival = ""
     for level, action, times in entries:
         if action == "restrict":
-            arrival = "restrict"
             if not stops or stops[-1].level != level:
-                stops.append(_Stop(level, "", 0))
+                stops.append(_Stop(level, "", 0, arrival))
+            arrival = "restrict"
             continue
         if action in ("prolong", "start"):
             stops.append(_Stop(level, "", 0, action))
@@ -151,16 +151,17 @@ def _stops(entries: list[tuple[int, str, int]]) -> list[_Stop]:
 
 
 _TRANSFERS = {"restrict": (ORANGE, "-", "restrict residual"), "prolong": (BLUE, "-", "prolong correction"),
-              "start": (INK, (0, (3, 2)), "prolong solution (nested start)"), "": (GREY, ":", None)}
+              "start": (INK, (0, (3, 2)), "prolong solution (nested start)")}
 
 
 def _draw_transfers(ax: Axes, stops: list[_Stop]) -> None:
     labelled: set[str] = set()
-    for k in range(1, len(stops)):
-        color, style, label = _TRANSFERS[stops[k].arrival]
-        ax.plot([k - 1, k], [stops[k - 1].level, stops[k].level], color=color, linestyle=style, linewidth=1.4,
-                label=None if stops[k].arrival in labelled else label, zorder=2)
-        labelled.add(stops[k].arrival)
+    for k, stop in enumerate(stops):
+        if k and stop.arrival:
+            color, style, label = _TRANSFERS[stop.arrival]
+            ax.plot([k - 1, k], [stops[k - 1].level, stop.level], color=color, linestyle=style, linewidth=1.4,
+                    label=None if stop.arrival in labelled else label, zorder=2)
+            labelled.add(stop.arrival)
 
 
 def _draw_stops(ax: Axes, stops: list[_Stop]) -> None:

@@ -80,7 +80,7 @@ def test_solve_writes_result_pictures_and_vtk(command, tmp_path):
     code, text, _ = command("solve", "greco_bar", "--divisions", "2,4", "--out", str(out))
     assert code == 0
     names = {"result.npz", "result.vtu", "problem.png", "grids.png", "deformed.png", "stress.png", "contact.png",
-             "history.png", "path.png"}
+             "history.png", "cycles.png"}
     assert {p.name for p in out.iterdir()} == names
     assert all(str(out / name) in text for name in names)
     assert np.isfinite(am.Result.load(out / "result.npz").displacement).all()

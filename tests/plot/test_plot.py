@@ -1,5 +1,7 @@
 """Pictures of contact, histories, cycle diagrams, meshes and adaptive loops show the data of their arguments."""
 
+from dataclasses import replace
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -64,6 +66,10 @@ def test_history_compares_results_by_a_common_quantity():
 
 
 def test_the_cycle_diagram_climbs_from_level_to_level():
+    through = [(2, "smooth", 2), (2, "restrict", 1), (1, "restrict", 1), (0, "solve", 1), (1, "prolong", 1)]
+    ax = plot.path(replace(PLANE, path=through)).axes[0]
+    assert ({line.get_color() for line in ax.lines if np.ptp(line.get_ydata())}
+            == {line.get_color() for line in ax.get_legend().get_lines()})
     ax = plot.path(PLANE, steps=8).axes[0]
     transfers = [tuple(drawn.get_ydata()) for drawn in ax.lines if len(drawn.get_xdata()) == 2
                  and np.diff(drawn.get_xdata())[0] == 1 and drawn.get_xdata()[0] >= 0 and np.ptp(drawn.get_ydata())]
