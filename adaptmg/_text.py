@@ -33,7 +33,20 @@ def in_html_lines(text: str) -> str:
 
 def html_table(table: pandas.DataFrame) -> str:
     """A table in HTML for notebooks; the middle rows of a long one are left out."""
-    return table.to_html(index=False, max_rows=20, border=0, float_format="{:.4g}".format)
+    import pandas
+
+    with pandas.option_context("display.max_colwidth", MOST):
+        return table.to_html(index=False, max_rows=20, border=0, float_format="{:.4g}".format)
+
+
+def html_fields(self: Any) -> str:
+    """The ``_repr_html_`` of a dataclass: its name, and a row for each value, of a tuple for each part."""
+    import pandas
+
+    held = {item.name: vars(self).get(item.name) for item in fields(self) if item.repr}
+    rows = [(name, _value(part, MOST)) for name, value in held.items()
+            for part in (value if isinstance(value, tuple) else (value,))]
+    return in_html_lines(type(self).__name__) + html_table(pandas.DataFrame(rows, columns=["", "value"])) * bool(rows)
 
 
 def shortened(text: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, get_args
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief
+from adaptmg._text import brief, html_fields
 from adaptmg.problem.laws import Law
 from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Pressure, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic
@@ -97,7 +97,7 @@ class ContactProblem:
     name: str = "contact problem"
     reference: Mapping[str, Any] = field(default_factory=dict)
 
-    __repr__ = brief
+    __repr__, _repr_html_ = brief, html_fields
 
     def __post_init__(self) -> None:
         if not isinstance(self.material, Elastic):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
-from adaptmg._text import brief
+from adaptmg._text import brief, html_fields
 
 FieldLike = float | Callable[[np.ndarray], np.ndarray]
 _AnyLaw = TypeVar("_AnyLaw")
@@ -76,6 +76,8 @@ class Frictionless:
     True
     """
 
+    _repr_html_ = html_fields
+
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Frictionless:
         return self
 
@@ -101,7 +103,7 @@ class Tresca:
 
     limit: FieldLike | ArrayLike
 
-    __repr__ = brief
+    __repr__, _repr_html_ = brief, html_fields
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.function_or, "limit", check=_parameter)
@@ -132,7 +134,7 @@ class Coulomb:
 
     friction: FieldLike | ArrayLike
 
-    __repr__ = brief
+    __repr__, _repr_html_ = brief, html_fields
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.function_or, "friction", check=_parameter)

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from adaptmg._runtime import one_blas_thread
-from adaptmg._text import shortened
+from adaptmg._text import in_html_lines, shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.solver.aggregates import Aggregates, aggregates_of
@@ -100,6 +100,9 @@ class Certificate:
 
     def __repr__(self) -> str:
         return shortened(str(self))
+
+    def _repr_html_(self) -> str:
+        return in_html_lines(str(self))
 
     def __str__(self) -> str:
         rows = [f"Certificate: forces relative to {self.force:.3g} N, lengths to {self.displacement:.3g} m, energy to "

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adaptmg._text import shortened
+from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 
@@ -149,6 +149,9 @@ class ContactResult:
         states = ", ".join(f"{count} {state}" for state, count in self.counts().items())
         return shortened(f"ContactResult: {len(self)} nodes of {', '.join(self.pair_names)}: {states}; pressure up to "
                          f"{self.pressure.max(initial=0.0):.3g} Pa; table() lists them")
+
+    def _repr_html_(self) -> str:
+        return in_html_lines(repr(self)) + html_table(self.table())
 
     @property
     def pressure(self) -> np.ndarray:

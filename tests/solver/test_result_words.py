@@ -1,5 +1,6 @@
 """Every object describes itself in 400 characters, without arrays; tables name their units."""
 
+import html
 import re
 from functools import cache
 from pathlib import Path
@@ -90,10 +91,12 @@ def test_printing_and_notebooks_show_tables_and_pictures():
     line = str(adapted()[0])
     assert all(word in line for word in ("nodes", "levels", "estimate", "cycles", "work units", " s ("))
     assert len(adapted()[0].row) == len(am.Step.HEADER)
-    for one in (grids, result, along(), adapted()[-1]):
-        html = one._repr_html_()
-        assert html.count("<table") == html.count("</table>") == 1
+    for one in (grids, result, along(), adapted()[-1], result.contact, grids.problem, am.Coulomb(lambda x: x[:, 0])):
+        shown = one._repr_html_()
+        assert shown.count("<table") == shown.count("</table>") == 1
     assert "force_x [N/m]" in result._repr_html_() and "max_nodes" in adapted()[-1]._repr_html_()
+    assert repr(grids.problem.loads[0]) in html.unescape(grids.problem._repr_html_())
+    assert "equilibrium" in result.certificate()._repr_html_()
     picture = ElementTree.fromstring(grids[1].mesh._repr_svg_())
     path = picture.find("{*}path").get("d")
     assert path.count("M") == 4 * 4 + 2 * 4 * 5  # diagonals, and the lines of the lattice
