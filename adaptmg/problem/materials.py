@@ -21,7 +21,7 @@ class Elastic:
     """Isotropic linear elasticity; use one of the subclasses.
 
     ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5). Strains are to be small (a few per
-    cent). Above 0.49 linear elements lock, but in plane stress: they are too stiff, and stresses oscillate.
+    cent). Above 0.45 linear elements lock, but in plane stress: they are too stiff, and stresses oscillate.
     """
 
     young: float

@@ -70,7 +70,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     Warns
     -----
     UserWarning
-        Of Poisson's ratios above .49 (linear elements lock), lengths that look like mm, strains above 5 %, bodies that
+        Of Poisson's ratios above .45 (linear elements lock), lengths that look like mm, strains above 5 %, bodies that
         cannot meet, and slips between bodies beyond an element: theory and elements are linear, strains and slips
         small.
     RuntimeWarning
