@@ -42,6 +42,8 @@ OBJECTS: dict[str, tuple[type, ...]] = {
     "indicator": (am.Residual, am.Recovery, am.Goal), "mark": (am.Doerfler, am.Maximum),
     "engine": (am.Remesh, am.Bisect),
     "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening)}
+#: arguments of methods that hold options of their own, a table each
+INNER = {"coarse": am.CoarseSolve, "start": am.NestedStart}
 #: sections whose keys are settings of a run
 SETTINGS = ("case", "hierarchy", "solver", "adapt", "load_path")
 #: purposes of the sections of a study file
@@ -116,10 +118,9 @@ def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) ->
 
 
 def _inner(function: Maker) -> dict[str, type]:
-    """Fields of a class that hold options of their own, such as the coarse solve of a method."""
+    """Fields of a class that hold options of their own."""
     fields = dataclasses.fields(function) if dataclasses.is_dataclass(function) else ()
-    return {field.name: field.default_factory for field in fields  # type: ignore[misc]
-            if field.name not in OBJECTS and dataclasses.is_dataclass(field.default_factory)}
+    return {field.name: INNER[field.name] for field in fields if field.name in INNER}
 
 
 @cache

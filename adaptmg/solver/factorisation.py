@@ -29,6 +29,9 @@ from scipy.sparse.linalg import SuperLU, splu
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system, turn_held
 
+#: dofs up to which factorisations take over where cycles do not converge, by dimension
+FACTORISED = {2: 200_000, 3: 60_000}
+
 
 def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
     """The dofs of nodes in turn, ``size`` each."""

@@ -32,6 +32,7 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_path, advise_on_problem, once
 from adaptmg.solver.examine import Examiner
+from adaptmg.solver.fallback import handed_over
 from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
@@ -40,6 +41,7 @@ from adaptmg.solver.result_file import damage
 from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, method_argument, result_of
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
 from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
+from adaptmg.solver.truncated import Truncated
 
 if TYPE_CHECKING:
     import pandas
@@ -291,8 +293,8 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
 
 def step_solver(solver: Solver) -> StepSolver:
     """How a solver goes through the steps."""
-    if isinstance(solver, Multigrid) and solver.truncated is not None:
-        return TruncatedSteps(solver.truncated)
+    if isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated):
+        return TruncatedSteps(solver)
     later = solver
     if isinstance(solver, FullMultigrid):
         later = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
@@ -360,7 +362,7 @@ class PathLoop:
             result, coarse = self._undeformed(k, grids, run), None
         else:
             outcome, coarse = self.method.run(grids, self.examiner, run, past)
-            outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
+            outcome = handed_over(checked_outcome(outcome, self.solver, grids.finest.discrete), grids, run)
             with run.phase("result"):
                 result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
         with run.phase("result"):

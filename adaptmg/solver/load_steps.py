@@ -12,7 +12,7 @@ round when a load is taken back, where the interpolation of the whole displaceme
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -25,8 +25,9 @@ from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.smoother.system import local_contact
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.truncated import TruncatedMultigrid, TruncatedRun
+from adaptmg.solver.truncated import Truncated, TruncatedRun
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +78,8 @@ def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list
 class KeptMultigrid(TruncatedRun):
     """The truncated multigrid for a sequence of steps."""
 
-    def __init__(self, options: TruncatedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
-        super().__init__(options, hierarchy, run)
+    def __init__(self, parts: Truncated, hierarchy: Hierarchy, run: Run, rtol: float | str, max_cycles: int) -> None:
+        super().__init__(parts, hierarchy, run, rtol, max_cycles)
         self._steps: dict[int, TruncatedStep] = {}
         self.spent = False
 
@@ -109,7 +110,7 @@ class KeptMultigrid(TruncatedRun):
 
     def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
         outcome = super().finish(unknowns, cold)
-        self.spent = bool(self.run.fallback)
+        self.spent = outcome.left > 0
         return outcome
 
     def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
@@ -134,20 +135,20 @@ class TruncatedSteps:
     #: is rough and soon smoothed away
     EXTRAPOLATE = 0.05
 
-    def __init__(self, options: TruncatedMultigrid) -> None:
-        self.options = options
+    def __init__(self, solver: Multigrid) -> None:
+        self.parts, self.rtol, self.max_cycles = solver.correction, solver.rtol, solver.max_cycles
+        self.start = solver.start if isinstance(solver, FullMultigrid) else None
         self.multigrid: KeptMultigrid | None = None
 
     def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
             ) -> tuple[Outcome, list[np.ndarray] | None]:
         multigrid, coarse, cold = self._kept(hierarchy, run), None, True
-        if self.options.start is not None:
-            *coarse, start = multigrid.increment(self.options.start, past.levels)
+        if self.start is not None:
+            *coarse, start = multigrid.increment(self.start, past.levels)
             cold = False
             with run.phase("start"):
                 # not where the nested start sets the tolerance
-                if (past.given and self.options.rtol != "discretisation"
-                        and examiner.relative_residual(past.extrapolated)
+                if (past.given and self.rtol != "discretisation" and examiner.relative_residual(past.extrapolated)
                         <= self.EXTRAPOLATE * examiner.relative_residual(start)):
                     start = past.extrapolated
         else:
@@ -158,21 +159,22 @@ class TruncatedSteps:
 
     def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> list[np.ndarray] | None:
         coarse = None
-        if self.options.start is not None:
+        if self.start is not None:
             multigrid = self._kept(hierarchy, Run(unit=hierarchy.finest.matrix.nnz))
-            coarse = multigrid.increment(self.options.start, past.levels)[:-1]
+            coarse = multigrid.increment(self.start, past.levels)[:-1]
         self._hold(rtol)
         return coarse
 
     def _kept(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
         if self.multigrid is None or self.multigrid.spent:
-            self.multigrid = KeptMultigrid(self.options, hierarchy, run)
+            self.multigrid = KeptMultigrid(self.parts, hierarchy, run, self.rtol, self.max_cycles)
         else:
             self.multigrid.take(hierarchy, run)
         return self.multigrid
 
     def _hold(self, rtol: float) -> None:
         """Keep the tolerance that the discretisation error of the first step has set: increments have smaller ones."""
-        if self.options.rtol == "discretisation":
-            self.options = replace(self.options, rtol=max(rtol, StopTest.ROUNDING_LIMIT))
-            self.multigrid.options = self.options
+        if self.rtol == "discretisation":
+            self.rtol = max(rtol, StopTest.ROUNDING_LIMIT)
+            if self.multigrid is not None:
+                self.multigrid.rtol = self.rtol

@@ -1,13 +1,14 @@
 """Multigrid and FullMultigrid: the multigrid methods from a given start and from a nested one.
 
-The correction chooses between two methods: :class:`~adaptmg.solver.truncated.TruncatedMultigrid` for Truncated(), and
-:class:`~adaptmg.solver.projected.ProjectedMultigrid` for corrections that transport contact data to coarser levels.
+The correction chooses between two methods: :class:`~adaptmg.solver.truncated.TruncatedRun` for Truncated(), and
+:class:`~adaptmg.solver.projected.ProjectedRun` for corrections that transport contact data to coarser levels, whose
+options are None where they are not given.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,9 +18,9 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.corrections import Correction
 from adaptmg.multigrid.cycle import CoarseSolve, Cycle, NestedStart
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.solver.projected import ProjectedMultigrid, ProjectedRun
+from adaptmg.solver.projected import ProjectedRun
 from adaptmg.solver.record import Outcome, Run
-from adaptmg.solver.truncated import Truncated, TruncatedMultigrid, TruncatedRun
+from adaptmg.solver.truncated import Truncated, TruncatedRun
 
 
 class Method(Protocol):
@@ -40,6 +41,11 @@ class CustomCycles(Protocol):
         """What runs a :class:`Multigrid` with this correction."""
 
 
+#: the options of the method with projected sweeps on all levels, where they are not given
+PROJECTED: dict[str, Any] = {"cycle": Cycle(), "smoother": ProjectedGaussSeidel(), "coarse": CoarseSolve(),
+                             "coarse_matrices": "galerkin", "stop": "error"}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Multigrid:
     """Multigrid cycles from zero or from a given start.
@@ -49,23 +55,25 @@ class Multigrid:
     correction : Truncated, Monotone, PaperCorrection or user-defined
         Anything with ``transport`` and ``needs_initial`` (:class:`~adaptmg.multigrid.corrections.Correction`), or with
         ``method(options, hierarchy, run)``, which brings its cycles (:class:`CustomCycles`). Default: Truncated(),
-        which defines cycle, smoother, coarse solve and stopping test itself: other ones are refused.
+        which defines cycle, smoother, coarse solve and stopping test itself: the next five options are refused.
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
         iteration first, and starts from zero all the same; the work is counted.
-    cycle : Cycle
-    smoother : ProjectedGaussSeidel or user-defined
-        Anything with ``smooth(system, contact, load, unknowns, sweeps) -> passes``.
-    coarse : CoarseSolve
-        How coarsest problems (with ``Cycle(shape="complete")`` all coarse problems) are solved.
-    coarse_matrices : {"galerkin", "discretised"}
-    stop : {"error", "change"}
-        Test the estimated relative A-norm error (with the natural residual below 10 times the tolerance), or, as the
-        paper, the change at the end of step g alone: Euclidean, relative to the solution.
+    cycle : Cycle, optional
+        Default Cycle(): V, two smoothings.
+    smoother : ProjectedGaussSeidel or user-defined, optional
+        Anything with ``smooth(system, contact, load, unknowns, sweeps) -> passes``. Default ProjectedGaussSeidel().
+    coarse : CoarseSolve, optional
+        How coarsest problems (with ``Cycle(shape="complete")`` all coarse problems) are solved. Default CoarseSolve().
+    coarse_matrices : {"galerkin", "discretised"}, optional
+        Default "galerkin".
+    stop : {"error", "change"}, optional
+        Test the estimated relative A-norm error (with the natural residual below 10 times the tolerance, the default),
+        or, as the paper, the change at the end of step g alone: Euclidean, relative to the solution.
     rtol : float or "discretisation"
         Tolerance of that test. "discretisation" (FullMultigrid with Truncated): a tenth of the discretisation error, as
         the nested start shows it.
     max_cycles : int
-        With Truncated also for what takes over where it does not converge (:class:`~adaptmg.solver.truncated.Fallback`;
+        With Truncated also for what takes over where it does not converge (:mod:`adaptmg.solver.fallback`;
         ``Result.fallback`` names it).
 
     Examples
@@ -76,29 +84,33 @@ class Multigrid:
     True
     """
 
-    cycle: Cycle = field(default_factory=Cycle)
-    smoother: Smoother = field(default_factory=ProjectedGaussSeidel)
+    cycle: Cycle | None = None
+    smoother: Smoother | None = None
     correction: Correction | CustomCycles | Truncated = field(default_factory=Truncated)
-    coarse: CoarseSolve = field(default_factory=CoarseSolve)
-    coarse_matrices: str = "galerkin"
-    stop: str = "error"
+    coarse: CoarseSolve | None = None
+    coarse_matrices: str | None = None
+    stop: str | None = None
     rtol: float | str = 1e-8
     max_cycles: int = 100
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        checks.instance("cycle", self.cycle, Cycle, "a Cycle")
-        checks.offers("smoother", self.smoother, "smooth",
-                      "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes")
         self._check_correction()
-        checks.instance("coarse", self.coarse, CoarseSolve, "a CoarseSolve")
-        checks.choice("coarse_matrices", self.coarse_matrices, ("galerkin", "discretised"))
-        checks.choice("stop", self.stop, ("error", "change"))
+        given = {name: getattr(self, name) for name in PROJECTED if getattr(self, name) is not None}
+        if given and isinstance(self.correction, Truncated):
+            name, value = next(iter(given.items()))
+            raise ValueError(f"{name} must not be given with the correction Truncated(), which defines its own, got "
+                             f"{checks.shown(value)}: give correction=am.Monotone()")
+        options = PROJECTED | given
+        checks.instance("cycle", options["cycle"], Cycle, "a Cycle")
+        checks.offers("smoother", options["smoother"], "smooth",
+                      "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes")
+        checks.instance("coarse", options["coarse"], CoarseSolve, "a CoarseSolve")
+        checks.choice("coarse_matrices", options["coarse_matrices"], ("galerkin", "discretised"))
+        checks.choice("stop", options["stop"], ("error", "change"))
         self._check_rtol()
         checks.integer("max_cycles", self.max_cycles, 1)
-        if isinstance(self.correction, Truncated):
-            self._refuse_options_of_projected()
 
     def _check_correction(self) -> None:
         if isinstance(self.correction, type):
@@ -118,34 +130,16 @@ class Multigrid:
             raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
                              "shows the discretisation error")
 
-    def _refuse_options_of_projected(self) -> None:
-        defaults = {"cycle": Cycle(), "smoother": ProjectedGaussSeidel(), "coarse": CoarseSolve(),
-                    "coarse_matrices": "galerkin", "stop": "error"}
-        for name, default in defaults.items():
-            value = getattr(self, name)
-            if value != default:
-                raise ValueError(f"{name} must be left at its default with the correction Truncated(), got "
-                                 f"{checks.shown(value)}: give correction=am.Monotone()")
-
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         return self._method(hierarchy, run).from_given(start)
 
-    @property
-    def truncated(self) -> TruncatedMultigrid | None:
-        """The truncated multigrid with these options, None for other corrections."""
-        if not isinstance(self.correction, Truncated):
-            return None
-        return TruncatedMultigrid(parts=self.correction, rtol=self.rtol, max_cycles=self.max_cycles,
-                                  start=self.start if isinstance(self, FullMultigrid) else None)
-
     def _method(self, hierarchy: Hierarchy, run: Run) -> Method:
-        if self.truncated is not None:
-            return TruncatedRun(self.truncated, hierarchy, run)
+        if isinstance(self.correction, Truncated):
+            return TruncatedRun(self.correction, hierarchy, run, self.rtol, self.max_cycles)
         if not isinstance(self.correction, CustomCycles):
-            return ProjectedRun(ProjectedMultigrid(
-                cycle=self.cycle, smoother=self.smoother, correction=self.correction, coarse=self.coarse,
-                coarse_matrices=self.coarse_matrices, stop=self.stop, rtol=self.rtol, max_cycles=self.max_cycles),
-                hierarchy, run)
+            given = {name: value for name in PROJECTED if (value := getattr(self, name)) is not None}
+            return ProjectedRun(hierarchy=hierarchy, run=run, correction=self.correction, rtol=self.rtol,
+                                max_cycles=self.max_cycles, **PROJECTED | given)
         method = self.correction.method(self, hierarchy, run)
         for name in ("from_given", "from_nested"):
             checks.offers(f"correction: what the method of {checks.shown(self.correction)} returns", method, name,

@@ -1,4 +1,4 @@
-"""ProjectedMultigrid: cycles of contact problems on all levels, for corrections that transport contact data.
+"""ProjectedRun: cycles of contact problems on all levels, for corrections that transport contact data.
 
 The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.corrections`.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.corrections import Correction, InitialContact, Monotone, correction_levels
+from adaptmg.multigrid.corrections import Correction, InitialContact, correction_levels
 from adaptmg.multigrid.cycle import (
     CoarseSolve,
     Cycle,
@@ -20,40 +20,38 @@ from adaptmg.multigrid.cycle import (
     project,
     prolonged_start,
 )
-from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
+from adaptmg.smoother.gauss_seidel import Smoother
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
 from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
 from adaptmg.solver.record import Outcome, Run, Status
 
 
-@dataclass(frozen=True, kw_only=True)
-class ProjectedMultigrid:
-    """Multigrid with a correction that transports gap, slip and limit; what each option means says ``Multigrid``."""
+@dataclass(eq=False, kw_only=True)
+class ProjectedRun:
+    """One run of multigrid with a correction that transports gap, slip and limit; what each option means says
+    :class:`adaptmg.Multigrid`."""
 
-    cycle: Cycle = field(default_factory=Cycle)
-    smoother: Smoother = field(default_factory=ProjectedGaussSeidel)
-    correction: Correction = field(default_factory=Monotone)
-    coarse: CoarseSolve = field(default_factory=CoarseSolve)
-    coarse_matrices: str = "galerkin"
-    stop: str = "error"
+    hierarchy: Hierarchy
+    run: Run
+    cycle: Cycle
+    smoother: Smoother
+    correction: Correction
+    coarse: CoarseSolve
+    coarse_matrices: str
+    stop: str
     rtol: float
     max_cycles: int
+    initial: list[InitialContact] = field(default_factory=list, init=False)
 
-
-class ProjectedRun:
-    """One run of it."""
-
-    def __init__(self, options: ProjectedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
-        need_levels(hierarchy)
-        hierarchy.need_discretised(f"the correction {type(options.correction).__name__}")
-        self.options, self.hierarchy, self.run = options, hierarchy, run
-        with run.phase("setup"):
-            self.problems: list[LocalProblem] = [local_system(level.discrete) for level in hierarchy.levels]
-        self.initial: list[InitialContact] = []
+    def __post_init__(self) -> None:
+        need_levels(self.hierarchy)
+        self.hierarchy.need_discretised(f"the correction {type(self.correction).__name__}")
+        with self.run.phase("setup"):
+            self.problems: list[LocalProblem] = [local_system(level.discrete) for level in self.hierarchy.levels]
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
-        if self.options.correction.needs_initial:
+        if self.correction.needs_initial:
             self.nested_start(NestedStart())
         local = self.problems[-1]
         unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
@@ -65,14 +63,14 @@ class ProjectedRun:
 
     def multigrid(self, finest: int) -> MultigridCycle:
         """Cycles on level ``finest`` and those below."""
-        o = self.options
         with self.run.phase("setup"):
-            levels = correction_levels(self.hierarchy, self.problems, finest, o.coarse_matrices)
+            levels = correction_levels(self.hierarchy, self.problems, finest, self.coarse_matrices)
         condensed = None
-        if o.coarse.condensed:
+        if self.coarse.condensed:
             with self.run.phase("factorise"):
                 condensed = self._condensed(levels[0].system)
-        return MultigridCycle(levels, o.cycle, o.smoother, o.correction, o.coarse, self.run, self.initial, condensed)
+        return MultigridCycle(levels, self.cycle, self.smoother, self.correction, self.coarse, self.run, self.initial,
+                              condensed)
 
     def _condensed(self, coarsest: LocalSystem) -> Condensed:
         """The coarsest problem on its contact nodes."""
@@ -89,12 +87,12 @@ class ProjectedRun:
                 if level == 0:
                     unknowns = self._solve_coarsest(multigrid, start)
                 elif start.cycles == "complete":
-                    iterate(_Cycles(multigrid, self.options.cycle, local, unknowns),
-                            IterateTest(local, start.rtol, self.options.max_cycles))
+                    iterate(_Cycles(multigrid, self.cycle, local, unknowns),
+                            IterateTest(local, start.rtol, self.max_cycles))
                 else:
                     for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
-                        multigrid.cycle(level, local.contact, local.load, unknowns, self.options.cycle.shape)
-                if self.options.correction.needs_initial:
+                        multigrid.cycle(level, local.contact, local.load, unknowns, self.cycle.shape)
+                if self.correction.needs_initial:
                     r = multigrid.residual(level, local.load, unknowns)
                     self.initial.append(initial_contact(local, unknowns, r))
                 nodal = self.hierarchy[level + 1].contact_prolongation
@@ -107,23 +105,23 @@ class ProjectedRun:
         local = self.problems[0]
         unknowns = np.zeros(local.system.n_dofs)
         project(local, unknowns)
-        multigrid.coarse = replace(self.options.coarse, rtol=start.rtol, atol=0.0, test="error")
+        multigrid.coarse = replace(self.coarse, rtol=start.rtol, atol=0.0, test="error")
         multigrid.solve_coarsest(local.contact, local.load, unknowns)
         return unknowns
 
     def finish(self, unknowns: np.ndarray) -> Outcome:
         """Cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
-        o, local = self.options, self.problems[-1]
-        given = self.multigrid(len(self.hierarchy) - 1), o.cycle, local, unknowns
+        local = self.problems[-1]
+        given = self.multigrid(len(self.hierarchy) - 1), self.cycle, local, unknowns
         with self.run.phase("cycles"):
-            if o.stop == "error":
+            if self.stop == "error":
                 cycles = _Cycles(*given)
-                stop = IterateTest(local, o.rtol, o.max_cycles, self.run, displacement=local.to_cartesian)
+                stop = IterateTest(local, self.rtol, self.max_cycles, self.run, displacement=local.to_cartesian)
                 status = iterate(cycles, stop, self.run)
             else:
-                cycles, stop = _WholeCycles(*given), ChangeTest(local, o.rtol, o.max_cycles, self.run)
+                cycles, stop = _WholeCycles(*given), ChangeTest(local, self.rtol, self.max_cycles, self.run)
                 status = cycles.end(iterate(cycles, stop, self.run), stop, self.run)
-        return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, o.rtol, stop.error_estimate, stop.rate)
+        return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, self.rtol, stop.error_estimate, stop.rate)
 
 
 def need_levels(hierarchy: Hierarchy) -> None:

@@ -129,6 +129,8 @@ class Outcome:
     rtol: float  # the tolerance asked for
     error_estimate: float = float("nan")  # estimated relative A-norm error; NaN if the solver has none
     rate: float = float("nan")  # asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown
+    left: int = 0  # cycles for a method that takes over where this one fails
+    better: bool = False  # whether that begins at the displacement, not at zero
 
 
 class Solver(Protocol):

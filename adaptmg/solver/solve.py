@@ -23,10 +23,13 @@ from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise_on_problem, advise_on_result, once
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
+from adaptmg.solver.fallback import handed_over
 from adaptmg.solver.iterate import StopTest
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result, label, problem_name, versions
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
@@ -105,7 +108,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         warn_of_large_friction(examiner)
         warn_of_several_solutions(grids)
         advise_on_problem(grids.problem, getattr(grids.finest, "mesh", None))
-    outcome = checked_outcome(solver.run(grids, run, first), solver, discrete)
+    outcome = handed_over(checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run)
     with run.phase("result"):
         posed, mesh = grids.problem, getattr(grids.finest, "mesh", None)
         stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
@@ -145,9 +148,6 @@ FACTORISED = {2: 30_000, 3: 6_000}
 
 def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
     """A solver and the grids for it; for None the quickest, and of one mesh why."""
-    from adaptmg.solver.active_set import ActiveSet
-    from adaptmg.solver.multigrid import FullMultigrid, Multigrid
-
     if solver is not None:
         words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer run()"
         return grids, checks.offers("solver", solver, "run", words), ""

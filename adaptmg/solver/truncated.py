@@ -1,12 +1,8 @@
-r"""TruncatedMultigrid: the truncated nonsmooth Newton multigrid: nested start, cycles on the finest level, fallback.
+r"""TruncatedRun: the truncated nonsmooth Newton multigrid: nested start, cycles on the finest level.
 
 Truncated are the options of its parts. TruncatedRun solves the coarsest level by the active set method, the levels
-above it by a few cycles each, and the finest to the tolerance.
-
-Fallback continues where that does not converge (friction of 3, say), for the cycles that are left: with the active set
-method, which needs the finest level alone and few steps, but factorisations, on problems of moderate size; on larger
-ones with the monotone correction, which is slow but needs no more memory. A Newton step counts as a cycle, and its
-residual as one pass over the finest matrix; factorisations count as seconds.
+above it by a few cycles each, and the finest to the tolerance. Where that does not converge (friction of 3, say)
+:mod:`adaptmg.solver.fallback` takes the cycles that are left.
 
 The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the next coarser level proposes estimates the
 error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last
@@ -21,7 +17,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -29,17 +25,18 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.cycle import NestedStart, project
+from adaptmg.multigrid.cycle import NestedStart
 from adaptmg.multigrid.linear_cycle import LinearCycle, LinearSmoother, LinearSolve
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import Ring, TruncatedStep
-from adaptmg.solver.active_set import ActiveSet, coarsest_solution
+from adaptmg.solver.active_set import coarsest_solution
 from adaptmg.solver.examine import Sizes
+from adaptmg.solver.factorisation import FACTORISED
 from adaptmg.solver.iterate import StopTest, iterate, true_error
-from adaptmg.solver.projected import ProjectedMultigrid, ProjectedRun, need_levels
+from adaptmg.solver.projected import need_levels
 from adaptmg.solver.record import Outcome, Run, Status
 
 
@@ -252,27 +249,15 @@ class Truncated:
         return [1 if row > self.DENSE * rows[-1] else 2 for row in rows]
 
 
-@dataclass(frozen=True, kw_only=True)
-class TruncatedMultigrid:
-    """The truncated multigrid and its options; what each means says :class:`adaptmg.Multigrid`."""
-
-    parts: Truncated
-    rtol: float | str
-    max_cycles: int
-    start: NestedStart | None = None  # None: no nested start
-
-
 class TruncatedRun:
-    """One run of the truncated multigrid."""
+    """One run of the truncated multigrid; what its options mean says :class:`adaptmg.Multigrid`."""
 
     #: cycles on a level of a complete nested start at most
     COMPLETE_LIMIT = 60
-    def __init__(self, options: TruncatedMultigrid, hierarchy: Hierarchy, run: Run) -> None:
+
+    def __init__(self, parts: Truncated, hierarchy: Hierarchy, run: Run, rtol: float | str, max_cycles: int) -> None:
         need_levels(hierarchy)
-        if options.start is not None:
-            hierarchy.need_discretised("the nested start of FullMultigrid")
-        self.options, self.hierarchy, self.run = options, hierarchy, run
-        parts = options.parts
+        self.parts, self.hierarchy, self.run, self.rtol, self.max_cycles = parts, hierarchy, run, rtol, max_cycles
         with run.phase("setup"):
             prolongations = nodal_prolongations(hierarchy)
             levels = galerkin_levels(hierarchy, prolongations)
@@ -319,25 +304,23 @@ class TruncatedRun:
         return (here - after) / (before - here)
 
     def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
-        o, problem = self.options, self.problems[-1]
-        nested = unknowns.copy() if o.rtol == "discretisation" else None
+        problem = self.problems[-1]
+        nested = unknowns.copy() if self.rtol == "discretisation" else None
         step = self._step(len(self.hierarchy) - 1, unknowns)
         del unknowns  # long vectors limit the size of a problem
         with self.run.phase("cycles"):
-            cycles = TruncatedIteration(step, problem, o.rtol, o.max_cycles, run=self.run, cold=cold, nested=nested,
-                                        hands_over=problem.n_dofs <= Fallback.FACTORISED[problem.dim])
+            cycles = TruncatedIteration(step, problem, self.rtol, self.max_cycles, run=self.run, cold=cold,
+                                        nested=nested, hands_over=problem.n_dofs <= FACTORISED[problem.dim])
             status = iterate(cycles, cycles, self.run)
         displacement = problem.with_prescribed(step.unknowns).reshape(-1, problem.dim)
-        outcome = Outcome(displacement, status, cycles.cycles, cycles.rtol, cycles.error_estimate, cycles.rate)
-        failed = status in (Status.STALLED, Status.DIVERGED) and not cycles.rests()
-        if failed and cycles.cycles < o.max_cycles and cycles.rtol > 0:
-            return Fallback(o.max_cycles, self.hierarchy, self.run, cycles.rtol).finish(outcome, cycles.better)
-        return outcome
+        failed = status in (Status.STALLED, Status.DIVERGED) and cycles.rtol > 0 and not cycles.rests()
+        return Outcome(displacement, status, cycles.cycles, cycles.rtol, cycles.error_estimate, cycles.rate,
+                       left=self.max_cycles - cycles.cycles if failed else 0, better=cycles.better)
 
     def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         """Steps on level ``number`` from ``unknowns`` (n_dofs,), which become admissible."""
         with self.run.phase("setup"):
-            problem, levels, parts = self.problems[number], self.cycle.levels, self.options.parts
+            problem, levels, parts = self.problems[number], self.cycle.levels, self.parts
             contact, load = TruncatedContact.of(problem, levels[number]), problem.load_from_prescribed()
             contact.start(unknowns)
             interface = None
@@ -355,6 +338,7 @@ class TruncatedRun:
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
         """Solve the coarsest level by semismooth Newton steps; each counts a pass, its factorisation as seconds."""
+        self.hierarchy.need_discretised("the nested start of FullMultigrid")
         problem = self.problems[0]
         with self.run.phase("start"):
             try:
@@ -382,71 +366,3 @@ class TruncatedRun:
                         break
             step.truncation.restore()
         return step.unknowns
-
-
-class Fallback:
-    """Takes over a run of the truncated multigrid."""
-
-    #: dofs up to which sparse factorisations are sensible, by dimension
-    FACTORISED: ClassVar[dict[int, int]] = {2: 200_000, 3: 60_000}
-    #: contact dofs up to which the steps are taken on a dense matrix (0.3 GB)
-    CONDENSED = 6_000
-
-    def __init__(self, max_cycles: int, hierarchy: Hierarchy, run: Run, rtol: float) -> None:
-        self.max_cycles, self.hierarchy, self.run, self.rtol = max_cycles, hierarchy, run, rtol
-        self.problem: DiscreteProblem = hierarchy.finest.discrete
-
-    def finish(self, outcome: Outcome, better: bool) -> Outcome:
-        """Solve with what is left of the cycles."""
-        start = outcome.displacement if better else None
-        if self.problem.n_dofs <= self.FACTORISED[self.problem.dim]:
-            for first in (start, None) if better else (None,):
-                outcome = self._active_set(outcome, first)
-                if outcome.status.ok:
-                    return outcome
-        return self._monotone(outcome, start) if self.hierarchy.discretised else outcome
-
-    def _active_set(self, before: Outcome, start: np.ndarray | None) -> Outcome:
-        """Semismooth Newton steps from ``start`` (n_nodes, dim), or from all nodes sticking."""
-        left = self.max_cycles - before.cycles
-        if left < 1:
-            return before
-        self._take_over(before.cycles, "ActiveSet")
-        solver = ActiveSet(rtol=self.rtol, max_steps=left,
-                           condensed=self.problem.dim * len(self.problem.contact.nodes) <= self.CONDENSED)
-        start_work_units = self.run.start_work_units
-        try:
-            outcome = solver.run(self.hierarchy, self.run, start)
-        except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
-            return self._given_up("the active set method", before, error)
-        finally:
-            self.run.start_work_units = start_work_units
-        # Newton steps have no rate of a cycle
-        return replace(outcome, cycles=before.cycles + outcome.cycles, rate=np.nan)
-
-    def _monotone(self, before: Outcome, start: np.ndarray | None) -> Outcome:
-        """Cycles with the monotone correction from ``start`` (n_nodes, dim), or from zero: slower, but they go on."""
-        left = self.max_cycles - before.cycles
-        if left < 1:
-            return before
-        self._take_over(before.cycles, "Monotone")
-        options = ProjectedMultigrid(rtol=self.rtol, max_cycles=left)
-        method = ProjectedRun(options, self.hierarchy, self.run)
-        local = method.problems[-1]
-        unknowns = local.to_local(self.problem.fixed_values if start is None else start)
-        project(local, unknowns)
-        try:
-            outcome = method.finish(unknowns)
-        except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
-            # a coarsest problem of few contact nodes may be singular where the finest one is not
-            return self._given_up("the monotone correction", before, error)
-        return replace(outcome, cycles=before.cycles + outcome.cycles)
-
-    def _given_up(self, method: str, before: Outcome, error: Exception) -> Outcome:
-        _LOG.info("cycle %d: %s gives up: %s", before.cycles, method, error)
-        self.run.first_cycle, self.run.fallback = 0, ""
-        return before
-
-    def _take_over(self, cycles: int, method: str) -> None:
-        _LOG.info("cycle %d: the truncated multigrid does not converge; going on with %s", cycles, method)
-        self.run.first_cycle, self.run.fallback = cycles, f"{method} from cycle {cycles}"

@@ -17,6 +17,7 @@ divisions = [2, 4]
 
 [solver]
 method = "multigrid"
+correction = "monotone"
 pre = 2
 
 [measure]

@@ -273,7 +273,10 @@ def test_every_listed_default_of_a_method_is_its_default(method):
     """Keys are fields: each of them, set to the default that is listed, leaves the method unchanged."""
     for key, known in build.keys_of(method).items():
         owners = [name for name, kinds in build.OBJECTS.items() for kind in kinds[1:] if key in build.keys_of(kind)]
-        if known.default and not owners and key not in build.keys_of(am.Truncated):
+        # not with the default correction
+        projected = issubclass(method, am.Multigrid) and (key.startswith("coarse.") or any(
+            key in build.keys_of(kind) for kind in (am.Cycle, am.ProjectedGaussSeidel)))
+        if known.default and not owners and not projected and key not in build.keys_of(am.Truncated):
             value = tomllib.loads(f"value = {known.default}")["value"]
             value = float(value) if known.real else value
             assert build.solver_of({"method": build.name_of(method), key: value}) == method(), key

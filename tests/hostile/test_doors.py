@@ -26,7 +26,7 @@ WRONG = {float: (NAN, True, "1", b"1", 1j, float("inf"), None, [-1.0], [[1.0], [
 FEW = {float: (NAN, True, "1"), int: (2.5, True, -3), bool: ("no",), str: (5, TEXT), tuple: (5, "a"),
        list: ("glue", [OTHER]), dict: (3,)}
 #: classes all of whose arguments get all wrong values: each kind of check is among them
-THOROUGH = {am.Rectangle, am.Cycle, am.Support, am.Contact, am.Multigrid, am.Plane, am.Coulomb}
+THOROUGH = {am.Rectangle, am.Cycle, am.Support, am.Contact, am.SingleGrid, am.Plane, am.Coulomb}
 
 
 @cache

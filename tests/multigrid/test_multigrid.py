@@ -26,10 +26,10 @@ def hierarchies():
 
 
 def cycle_of(grids, **options):
-    solver = am.Multigrid(**{"correction": am.Monotone()} | options)
     run = Run(unit=grids.finest.discrete.matrix.nnz)
-    levels = levels_of(grids, solver.coarse_matrices)
-    cycle = MultigridCycle(levels, solver.cycle, solver.smoother, solver.correction, solver.coarse, run)
+    cycle = MultigridCycle(levels_of(grids), recorder=run, **{
+        "options": am.Cycle(), "smoother": am.ProjectedGaussSeidel(), "correction": am.Monotone(),
+        "coarse": am.CoarseSolve()} | options)
     return cycle, local_system(grids.finest.discrete), run
 
 
@@ -39,7 +39,8 @@ def cycle_of(grids, **options):
 def test_tresca_energy_never_rises(hierarchies, name, seed, shape, sweeps):
     grids = hierarchies[name]
     pre, post = sweeps
-    cycle, local, _ = cycle_of(grids, cycle=am.Cycle(shape=shape, pre=pre, post=post), coarse=am.CoarseSolve(rtol=0.3))
+    options = am.Cycle(shape=shape, pre=pre, post=post)
+    cycle, local, _ = cycle_of(grids, options=options, coarse=am.CoarseSolve(rtol=0.3))
     level = len(grids) - 1
     random = np.random.default_rng(seed)
     w = random.normal(scale=1e-4, size=local.system.n_dofs) * ~local.system.fixed
@@ -78,7 +79,7 @@ def test_hand_counted_work():
     ratio = [level.discrete.matrix.nnz / grids.finest.discrete.matrix.nnz for level in grids.levels]
     coarse = am.CoarseSolve(rtol=1e-30, max_sweeps=8)
     for shape, visits in (("V", 1), ("W", 2), ("F", 2)):
-        cycle, local, run = cycle_of(grids, cycle=am.Cycle(shape=shape, pre=2, post=1), coarse=coarse)
+        cycle, local, run = cycle_of(grids, options=am.Cycle(shape=shape, pre=2, post=1), coarse=coarse)
         cycle.cycle(2, local.contact, local.load, np.zeros(local.system.n_dofs), shape)
         # three sweeps and one residual a level, eight sweeps on the coarsest, which is solved once a visit of level 1
         expected = 4 + 4 * visits * ratio[1] + 8 * visits * ratio[0]

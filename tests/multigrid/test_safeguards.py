@@ -11,8 +11,10 @@ from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.solver import truncated as fallback
-from adaptmg.solver.truncated import Fallback, TruncatedIteration
+from adaptmg.solver import fallback
+from adaptmg.solver.factorisation import FACTORISED
+from adaptmg.solver.projected import ProjectedRun
+from adaptmg.solver.truncated import TruncatedIteration
 
 
 def nearly_sliding(dim, law, held):
@@ -76,7 +78,7 @@ def test_the_active_set_method_takes_over(failing):
 @pytest.mark.parametrize("reason", ["too large", "gives up"])
 def test_the_monotone_correction_takes_over_from_what_cannot(reason, failing, monkeypatch):
     if reason == "too large":
-        monkeypatch.setattr(Fallback, "FACTORISED", {2: 0, 3: 0})
+        monkeypatch.setitem(FACTORISED, 2, 0)
     else:
         def singular(self, hierarchy, run, start):
             raise np.linalg.LinAlgError("singular")
@@ -87,8 +89,7 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, failing, mo
     assert result.residual < 1e-2 and result.status.ok == (result.residual <= 1e-7)
     if reason == "gives up":
         # an error of one method is no error of the run
-        monkeypatch.setattr(fallback.ProjectedRun, "finish",
-                            lambda self, unknowns: singular(self, None, None, None))
+        monkeypatch.setattr(ProjectedRun, "finish", lambda self, unknowns: singular(self, None, None, None))
         for grids in failing:
             nothing = am.solve(grids, am.Multigrid(), throw=False)
             assert not nothing.status.ok and not nothing.fallback
