@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import re
+import sys
 from dataclasses import MISSING, fields
 from inspect import isfunction
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,13 @@ def printable(text: str) -> str:
     Line breaks and tabs stay. Of XML 1.0 and HTML both, nothing else than this is refused (but for markup)."""
     return _UNPRINTABLE.sub(lambda match: match[0].encode("ascii", "backslashreplace").decode()
                             if ord(match[0]) > 127 else f"\\x{ord(match[0]):02x}", text)
+
+
+def say(text: str) -> None:
+    """Write a line to standard error, if there is one."""
+    if sys.stderr is not None:
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
 
 
 def in_html_lines(text: str) -> str:

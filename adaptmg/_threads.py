@@ -25,7 +25,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import kernel, read_only
+from adaptmg._numba import kernel, read_only
 
 #: numbers read from which a kernel is cut into this many parts; the least number of strips that pays
 LARGE, PARTS, FEWEST = 1_000_000, 16, 4

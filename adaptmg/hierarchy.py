@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import one_blas_thread
+from adaptmg._blas import one_blas_thread
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.discretise import same
 from adaptmg.discrete.problem import DiscreteProblem

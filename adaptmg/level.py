@@ -15,7 +15,7 @@ from scipy import sparse
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._check_arrays import indices_frozen
-from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._on_demand import OnDemand, made_on_demand
 from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays

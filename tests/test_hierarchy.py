@@ -16,7 +16,7 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg import level as meshed_levels
-from adaptmg._runtime import OnDemand
+from adaptmg._on_demand import OnDemand
 from adaptmg.mesh import check_mesh, structured
 
 BAR, JOINT = am.cases.greco_bar(), am.cases.dovetail()

@@ -32,7 +32,8 @@ from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._runtime import OnDemand, one_blas_thread
+from adaptmg._blas import one_blas_thread
+from adaptmg._on_demand import OnDemand
 from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.exchange import ScaledLaw, find_carriers

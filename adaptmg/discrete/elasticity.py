@@ -21,7 +21,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import sparse
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_colours, in_parts, scattering
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays

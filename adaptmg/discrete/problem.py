@@ -25,7 +25,7 @@ from scipy import sparse
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._check_arrays import indices_frozen
-from adaptmg._runtime import OnDemand, Token, made_on_demand, remembered
+from adaptmg._on_demand import OnDemand, Token, made_on_demand, remembered
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     ContactNodes,
@@ -113,7 +113,7 @@ class DiscreteProblem(Unknowns):
         """From the package's own assembly, which is not searched for what a user's matrix may have wrong.
 
         The matrix, symmetric in dim x dim blocks with sorted columns, is stored without a copy; ``near_nullspace`` may
-        be :class:`~adaptmg._runtime.OnDemand`.
+        be :class:`~adaptmg._on_demand.OnDemand`.
         """
         result = cls.__new__(cls)
         object.__setattr__(result, "_assembled", True)

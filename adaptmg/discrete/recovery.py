@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel, read_only
+from adaptmg._numba import inner_kernel, kernel, read_only
 from adaptmg.discrete.elasticity import list_elements
 from adaptmg.mesh.arrays import MeshArrays, facet_table
 

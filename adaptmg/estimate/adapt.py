@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import say
+from adaptmg._text import say
 from adaptmg.estimate.bisect import Bisect
 from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
 from adaptmg.estimate.loop import AdaptiveLoop, Parts, Progress

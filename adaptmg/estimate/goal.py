@@ -22,7 +22,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._runtime import one_blas_thread
+from adaptmg._blas import one_blas_thread
 from adaptmg._text import shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals

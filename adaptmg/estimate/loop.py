@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptmg._runtime import one_blas_thread
+from adaptmg._blas import one_blas_thread
 from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.bisect import divisible
 from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel, one_blas_thread
+from adaptmg._blas import one_blas_thread
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.discrete.recovery import apart, fitted
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, posed

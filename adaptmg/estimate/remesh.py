@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg.discrete.recovery import elements_of_nodes
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.geometry.location import SimplexLocator

@@ -25,7 +25,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg._runtime import kernel, one_blas_thread
+from adaptmg._blas import one_blas_thread
+from adaptmg._numba import kernel
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
 from adaptmg.discrete.loads import body_elements, foundation, load_density

@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.discrete.loads import load_vector

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 
 PIECES = 32
 """Room for pieces on the stack. A half-space splits a tetrahedron along a path of at most 3 bisections, which leave one

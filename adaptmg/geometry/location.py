@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel, read_only
+from adaptmg._numba import inner_kernel, kernel, read_only
 from adaptmg._threads import in_parts
 from adaptmg.geometry.search import STACK, BoxTree, leaf_range, morton_order, nearest_simplex, padded
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg._runtime import OnDemand, made_on_demand
+from adaptmg._on_demand import OnDemand, made_on_demand
 from adaptmg._text import shortened
 from adaptmg._threads import in_parts
 from adaptmg.mesh.picture import svg

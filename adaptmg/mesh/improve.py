@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays, trusted
 
 

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised, sound_by_construction, swept
 from adaptmg.mesh.domains import BOX_SIDES, boundary_measures, extent, plane_measures
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen

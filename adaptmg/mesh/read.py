@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import OnDemand
+from adaptmg._on_demand import OnDemand
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
 from adaptmg.mesh.soundness import check_mesh, check_stranger

@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.improve import improved_triangles, replace_neighbour, swap_edge
 from adaptmg.mesh.netgen_plane import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable

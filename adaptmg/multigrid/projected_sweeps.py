@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.discrete.coordinates import Coupling
 from adaptmg.multigrid.half_sweeps import LINES
 from adaptmg.multigrid.split_matrix import SplitMatrix

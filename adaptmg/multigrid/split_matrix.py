@@ -17,7 +17,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._check_arrays import indices_frozen
-from adaptmg._runtime import inner_kernel, kernel, read_only
+from adaptmg._numba import inner_kernel, kernel, read_only
 from adaptmg._threads import LARGE, Strips, in_colours, in_parts, product, scattering
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level

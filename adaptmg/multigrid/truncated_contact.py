@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import ZERO, in_loop, inner, read, read_upper, times

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg._threads import in_parts, sum_of_parts
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.half_sweeps import combine, dot, product_of_change, shorten, stiff_squares, zero_at

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
 from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block
 from adaptmg.multigrid.truncated_contact import TruncatedContact

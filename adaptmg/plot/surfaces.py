@@ -20,7 +20,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d import Axes3D
 
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg.plot.style import INK, bounds
 
 #: the largest number of triangles whose edges are drawn by default

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.blocks import (
     add,
     in_loop,

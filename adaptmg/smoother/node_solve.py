@@ -39,7 +39,7 @@ import math
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.blocks import in_loop, nothing, plus_symmetric, subtract
 
 ONE, TWO = np.uint64(1), np.uint64(2)

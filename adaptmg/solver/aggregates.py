@@ -12,7 +12,7 @@ from scipy import sparse
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg._threads import in_parts
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, times, write

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from adaptmg._runtime import one_blas_thread
+from adaptmg._blas import one_blas_thread
 from adaptmg._text import in_html_lines, shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure

@@ -28,7 +28,7 @@ from scipy import sparse
 from scipy.linalg.blas import daxpy
 from scipy.sparse.linalg import splu
 
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg._threads import Strips, in_parts, sum_of_parts
 from adaptmg.smoother.blocks import ONE, ZERO, add, in_loop, read, subtract, times, transposed_times, write
 from adaptmg.solver.aggregates import Aggregates, CoarseMatrix

@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._blas import one_blas_thread
 from adaptmg._files import make_folder
-from adaptmg._runtime import one_blas_thread, say
-from adaptmg._text import html_table, in_html_lines, shortened
+from adaptmg._text import html_table, in_html_lines, say, shortened
 from adaptmg.discrete.discretise import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData

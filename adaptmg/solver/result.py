@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._runtime import made_on_demand
+from adaptmg._on_demand import made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.loads import moment

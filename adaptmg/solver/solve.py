@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._runtime import one_blas_thread, say
+from adaptmg._blas import one_blas_thread
+from adaptmg._text import say
 from adaptmg.discrete.facets import held_components
 from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem

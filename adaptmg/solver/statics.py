@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg._runtime import remembered
+from adaptmg._on_demand import remembered
 from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.hierarchy import Hierarchy

@@ -27,7 +27,7 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg.discrete.contact_nodes import largest_entry
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.search import BoxTree

@@ -13,7 +13,8 @@ from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._runtime import kernel, one_blas_thread, read_only, seeded
+from adaptmg._blas import one_blas_thread, seeded
+from adaptmg._numba import kernel, read_only
 from adaptmg._threads import in_parts
 
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most

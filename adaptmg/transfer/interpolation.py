@@ -26,7 +26,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg.geometry.location import Location, SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays, longest_edges
 

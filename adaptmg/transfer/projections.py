@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._check_arrays import narrowed
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.clipping import PIECES, SNAP, common_moments
 from adaptmg.geometry.location import affine_maps
 from adaptmg.geometry.quadrature import simplex_rule

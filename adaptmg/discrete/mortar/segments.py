@@ -35,7 +35,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, nothing_covered
 from adaptmg.geometry.search import BoxTree
 

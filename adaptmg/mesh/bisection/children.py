@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 
 # what a flagged element has its marks raised by
 FLAG = 9

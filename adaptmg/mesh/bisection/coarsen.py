@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._runtime import kernel
+from adaptmg._numba import kernel
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection import check_marked
 from adaptmg.mesh.bisection.tables import FOREBEAR, Refined, cells_of, mesh_of

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.children import write_children
 from adaptmg.mesh.bisection.tables import (

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from adaptmg._runtime import inner_kernel, kernel
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays, Refinement, element_facets, sound_by_construction, trusted
 from adaptmg.mesh.bisection.children import CODES, EVEN, first_labels
 

@@ -1,0 +1,88 @@
+"""One thread of BLAS, and the same random numbers always: results have the same bits on each run.
+
+Sums over two threads differ in the last digits, and small dense factorisations lose more to starting threads than they
+gain.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+
+class _Blas:
+    """The limit of the process, which the first thread of Python to enter sets and the last to leave lifts."""
+
+    def __init__(self) -> None:
+        self.lock, self.inside, self.modules = threading.RLock(), 0, -1
+        self.controller: Any = None
+        self.limit: Any = None
+
+    def enter(self) -> None:
+        # imported inside the block scipy would bring another BLAS without a limit
+        import scipy.linalg  # noqa: F401
+        from threadpoolctl import ThreadpoolController
+
+        with self.lock:
+            if self.inside == 0:
+                if self.modules != len(sys.modules):  # some ms, when modules were imported since
+                    self.controller, self.modules = ThreadpoolController().select(user_api="blas"), len(sys.modules)
+                self.release()
+                self.limit = self.controller.limit(limits=1)
+            self.inside += 1
+
+    def leave(self) -> None:
+        with self.lock:
+            self.inside -= 1
+            if self.inside == 0:
+                self.release()
+                self.limit.restore_original_limits()
+
+    def release(self) -> None:
+        """Let this thread set limits: threadpoolctl 3.7 and later obey, in silence, only the one that set them first.
+        """
+        for library in self.controller.lib_controllers:
+            getattr(library, "clear_controlling_thread", lambda force: None)(force=True)
+
+
+_BLAS, _RANDOM = _Blas(), threading.RLock()
+
+
+def _after_fork() -> None:
+    """Make new locks in a child: other threads, which may hold them, do not come along."""
+    global _RANDOM
+    _RANDOM = threading.RLock()
+    _BLAS.__init__()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Hold BLAS at one thread, in a with statement or as a decorator; may be nested, and entered by several threads."""
+    _BLAS.enter()
+    try:
+        yield
+    finally:
+        _BLAS.leave()
+
+
+@contextmanager
+def seeded() -> Iterator[None]:
+    """Let what draws from numpy's global generator (pyamg) draw the same numbers always, and put the state back. One
+    thread at a time; a thread of the user that draws from the global generator meanwhile is not held back."""
+    with _RANDOM:
+        state = np.random.get_state()  # noqa: NPY002
+        np.random.seed(0)  # noqa: NPY002
+        try:
+            yield
+        finally:
+            np.random.set_state(state)  # noqa: NPY002

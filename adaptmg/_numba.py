@@ -1,0 +1,92 @@
+"""Compiled kernels: numba's options for all of them, its cache on disk, and the seconds that it spends compiling.
+
+numba compiles a function once per machine and stores the code in ``__pycache__`` next to the source, in the user's
+cache folder, or in ``NUMBA_CACHE_DIR``. It makes a wrapper for calls from Python and one for calls from C: the second
+is never used, and the first only for functions that Python calls. Looking for garbage takes a seventh of the time of
+compiling: it waits until a function is compiled.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import threading
+import time
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Any
+
+import numba
+import numpy as np
+from numba.core.event import Event, Listener, register
+
+from adaptmg._text import say
+
+_LOG = logging.getLogger(__name__)
+
+
+def kernel(function: Callable | None = None, **options: object) -> Any:
+    """Compile a function that Python calls; ``options`` are those of ``numba.njit``. Division by zero is as in numpy: a
+    test before each division would take time, here and in the compilation. Other threads of Python run meanwhile."""
+    if function is None:
+        return partial(kernel, **options)
+    options = {"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy", "nogil": True} | options
+    try:
+        return numba.njit(**options)(function)
+    except RuntimeError:  # numba finds no folder that it can write
+        _warn_of_no_cache()
+        return numba.njit(**options | {"cache": False})(function)
+
+
+def inner_kernel(function: Callable | None = None, **options: object) -> Any:
+    """Compile a function that only kernels call: Python must not, as there is no code for its calls."""
+    return kernel(function, no_cpython_wrapper=True, **options)
+
+
+@lru_cache(maxsize=1)
+def _warn_of_no_cache() -> None:
+    _LOG.warning("compiled kernels are not stored, as neither the package nor the home directory can be written: set "
+                 "NUMBA_CACHE_DIR to a folder that can")
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """A view that cannot be written: kernels are compiled separately for those and for other arrays."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+class _Compiling(Listener):
+    """Holds off the garbage collector while numba compiles, adds up the seconds, and says that it takes long."""
+
+    def __init__(self) -> None:
+        self.depth, self.begin, self.collects, self.here = 0, 0.0, False, threading.local()
+
+    def on_start(self, event: Event) -> None:
+        self.depth += 1
+        if self.depth == 1:  # numba compiles in one thread at a time
+            if compiling_seconds() > 1.0 and event.data["dispatcher"].py_func.__module__.startswith("adaptmg."):
+                _announce()
+            self.begin, self.collects = time.perf_counter(), gc.isenabled()
+            gc.disable()
+
+    def on_end(self, event: Event) -> None:
+        self.depth -= 1
+        if self.depth == 0:
+            self.here.seconds = compiling_seconds() + time.perf_counter() - self.begin
+            if self.collects:
+                gc.enable()
+
+
+_COMPILING = _Compiling()
+register("numba:compile", _COMPILING)
+
+
+def compiling_seconds() -> float:
+    """The seconds that this thread has spent compiling."""
+    return getattr(_COMPILING.here, "seconds", 0.0)
+
+
+@lru_cache(maxsize=1)
+def _announce() -> None:
+    say("adaptmg: compiling kernels (first use on this machine, about 15 s; stored for later runs)")

@@ -1,0 +1,63 @@
+"""Values of objects that are computed when they are first read, and remembered as long as the object lives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
+
+
+@dataclass(frozen=True)
+class OnDemand:
+    """What a field is given in place of its value."""
+
+    make: Callable[[Any], object]  # of the object that has the field; returns the value
+
+
+class Absent(AttributeError, ValueError):
+    """Raised where an optional part is read that an object does not have; ``getattr(x, name, None)`` gives None."""
+
+
+def made_on_demand(name: str, doc: str, absent: str = "") -> property:
+    """A property to put in the place of the field ``name`` of a dataclass, after its class statement.
+
+    The field keeps its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`.
+    ``dataclasses.replace`` reads it: say what the new value is, where it depends on what is replaced. With ``absent``,
+    the field may be None, and reading it raises :class:`Absent` with this text.
+    """
+    def value(owner: object) -> Any:
+        held = owner.__dict__[name]
+        if isinstance(held, OnDemand):
+            held = owner.__dict__[name] = held.make(owner)
+        if held is None and absent:
+            raise Absent(absent)
+        return held
+
+    return property(value, lambda owner, given: owner.__dict__.__setitem__(name, given), doc=doc)
+
+
+class Token:
+    """Stands for what an object and its copies have in common."""
+
+
+Owner = TypeVar("Owner")
+Value = TypeVar("Value")
+
+
+def remembered(function: Callable[[Owner], Value], of: Callable[[Owner], object] = lambda owner: owner
+               ) -> Callable[[Owner], Value]:
+    """A function that computes once for each object, or for ``of`` it; exceptions are not remembered. For objects that
+    are the same only if they are identical, and never change: hierarchies that grow keep their coarse levels from solve
+    to solve."""
+    known: WeakKeyDictionary[object, Value] = WeakKeyDictionary()
+
+    @wraps(function)
+    def asked(owner: Owner) -> Value:
+        key = of(owner)
+        if key not in known:
+            known[key] = function(owner)
+        return known[key]
+
+    return asked

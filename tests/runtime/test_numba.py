@@ -1,0 +1,112 @@
+"""Kernels: their options, where no cache can be written, and what is said and counted while they are compiled."""
+
+import gc
+import os
+import shutil
+import subprocess
+import sys
+import weakref
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba.core.event import Listener, register, unregister
+
+import adaptmg as am
+from adaptmg._numba import compiling_seconds, inner_kernel, kernel
+from adaptmg._on_demand import remembered
+
+ROOT = Path(am.__file__).parent
+
+
+@inner_kernel(cache=False, fastmath=True)
+def _twice(value):
+    return 2.0 * value
+
+
+def test_a_kernel_calls_inner_ones_and_divides_as_numpy_does():
+    @kernel(cache=False)
+    def over(a, b):
+        return _twice(a) / b
+
+    assert over(2.0, 4.0) == 1.0 and over(1.0, 0.0) == np.inf
+
+
+class Passes(Listener):
+    """Notes at each pass of the compiler whether garbage is collected."""
+
+    def __init__(self):
+        self.collects = []
+
+    def on_start(self, event):
+        self.collects.append(gc.isenabled())
+
+    def on_end(self, event):
+        pass
+
+
+def test_compiling_is_counted_without_collecting_garbage_and_calling_is_not():
+    @kernel(cache=False)
+    def once(a):
+        return _twice(a) + 1.0
+
+    passes, before = Passes(), compiling_seconds()
+    register("numba:run_pass", passes)
+    try:
+        assert once(1.0) == 3.0
+    finally:
+        unregister("numba:run_pass", passes)
+    after = compiling_seconds()
+    assert after > before and passes.collects and not any(passes.collects) and gc.isenabled()
+    once(2.0)
+    assert compiling_seconds() == after
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A copy of the package without any cache; a function that runs code on it in a new process."""
+    copy = tmp_path / "src" / "adaptmg"
+    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def run(code: str, **environment: str) -> str:
+        done = subprocess.run([sys.executable, "-B", "-c", code], capture_output=True, text=True, timeout=200,
+                              cwd=tmp_path, env={k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+                              | {"PYTHONPATH": str(copy.parent)} | environment)
+        assert done.returncode == 0, done.stderr
+        return done.stderr
+
+    return copy / "geometry", run
+
+
+ORDER = ("import numpy as np\nfrom adaptmg.geometry.search import morton_order\n"
+         "assert len(morton_order(np.random.default_rng(1).random((5, 2)))) == 5\n")
+
+
+def test_kernels_run_where_no_cache_can_be_written(package):
+    folder, run = package
+    # a file where numba would make its directory: not even root can write there
+    (folder / "__pycache__").write_text("a file")
+    said = run(ORDER, HOME=os.devnull, XDG_CACHE_HOME=os.path.join(os.devnull, "cache"))
+    assert "compiled kernels are not stored" in said and said.count("\n") == 1
+
+
+def test_long_compiling_is_announced_once_behind_a_pipe_and_stored_kernels_are_silent(package):
+    _, run = package
+    long = "import adaptmg._numba as n\nn._COMPILING.here.seconds = 100.0\n"
+    assert run(long + ORDER).startswith("adaptmg: compiling kernels (first use")
+    assert run(long + ORDER) == ""
+
+
+def test_a_value_is_computed_once_an_object_and_does_not_keep_it_alive():
+    class Thing:
+        pass
+
+    calls = []
+    function = remembered(lambda thing: calls.append(id(thing)))
+    one, other = Thing(), Thing()
+    assert [function(one), function(one), function(other)] == [None] * 3
+    assert calls == [id(one), id(other)]
+    gone = weakref.ref(one)
+    del one
+    gc.collect()
+    assert gone() is None
