@@ -24,13 +24,11 @@ Sweep       Study; designs and tables in study
 ``help(am.solve)`` shows one name with an example, ``dir(am.plot)`` lists the names of a module.
 """
 
-from __future__ import annotations
-
 import functools
-import importlib
-import inspect
 import sys
 from typing import Any
+
+import lazy_loader
 
 __version__ = "0.1.0"
 
@@ -38,49 +36,15 @@ if sys.flags.optimize > 1:
     raise ImportError("adaptmg cannot run under 'python -OO' (PYTHONOPTIMIZE=2), which removes the docstrings that "
                       "pyamg and the command line read: use 'python -O'")
 
-_SUBMODULES = ("cases", "discrete", "estimate", "export", "mesh", "multigrid", "plot", "problem", "smoother",
-               "solver", "study", "transfer")
+# the names stand in __init__.pyi; not __all__, with which help(adaptmg) would show each class at length
+_load, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)
 
-_WHERE = {
-    "adaptmg._threads": ("set_threads",),
-    "adaptmg.problem": ("Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact",
-                        "ContactPair", "ContactProblem", "Coulomb", "Cut", "Cylinder", "Extrusion", "Frictionless",
-                        "Fuse", "GapFunction", "InitialStrain", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",
-                        "PlaneStress", "PointSpring", "PointSupport", "Polygon", "Pressure", "Rectangle", "Revolution",
-                        "Solid", "Spring", "StepFile", "Support", "Symmetry", "Traction", "Tresca"),
-    "adaptmg.discrete.problem": ("ContactNodes", "DiscreteProblem"),
-    "adaptmg.mesh": ("MeshArrays", "SizeNear"),
-    "adaptmg.discrete.discretise": ("discretise",),
-    "adaptmg.transfer": ("Interpolation", "L2", "LumpedL2", "PseudoL2", "QuasiInterpolation"),
-    "adaptmg.hierarchy": ("Hierarchy", "Level"),
-    "adaptmg.smoother.gauss_seidel": ("ProjectedGaussSeidel",),
-    "adaptmg.smoother.system": ("OPEN", "SLIP", "STICK"),
-    "adaptmg.multigrid": ("CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection"),
-    "adaptmg.solver.single_grid": ("SingleGrid",),
-    "adaptmg.solver.multigrid": ("FullMultigrid", "Multigrid"),
-    "adaptmg.solver.truncated": ("Truncated",),
-    "adaptmg.solver.active_set": ("ActiveSet",),
-    "adaptmg.solver.linear": ("AMG", "Direct"),
-    "adaptmg.solver.solve": ("solve",),
-    "adaptmg.solver.load_path": ("PathResult", "solve_path"),
-    "adaptmg.solver.certificate": ("Certificate",),
-    "adaptmg.solver.result": ("NotConverged", "Result"),
-    "adaptmg.solver.record": ("Status",),
-    "adaptmg.estimate.bisect": ("Bisect",),
-    "adaptmg.estimate.estimate": ("Doerfler", "Estimate", "Maximum"),
-    "adaptmg.estimate.adapt": ("adapt",),
-    "adaptmg.estimate.step": ("Step",),
-    "adaptmg.estimate.remesh": ("Remesh",),
-    "adaptmg.estimate.goal": ("Goal", "GoalEstimate"),
-    "adaptmg.estimate.quantities": ("ContactForce", "Displacement", "MeanDisplacement", "Opening"),
-    "adaptmg.estimate.recovery": ("Recovery",),
-    "adaptmg.estimate.residual": ("Residual",),
-    "adaptmg.study.study": ("Study",),
-}
-_HOME = {name: module for module, names in _WHERE.items() for name in names}
 
-#: not __all__, with which help(adaptmg) would show each class at length
-_NAMES = sorted([*_HOME, *_SUBMODULES, "__version__"])
+def __getattr__(name: str) -> Any:
+    value = _load(name)
+    if "__dataclass_fields__" in vars(value):
+        _naming_arguments(value)
+    return value
 
 
 def _naming_arguments(kind: Any) -> None:
@@ -93,24 +57,10 @@ def _naming_arguments(kind: Any) -> None:
             made(self, *arguments, **named)
         except TypeError as error:
             if error.__traceback__ is not None and error.__traceback__.tb_next is None:  # not from within the call
+                import inspect
+
                 taken = str(inspect.signature(kind)).replace("'", "").removesuffix(" -> None")
                 error.add_note(f"am.{kind.__name__}{taken}")
             raise
 
     kind.__init__ = __init__
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        value = getattr(importlib.import_module(_HOME[name]), name)
-        if "__dataclass_fields__" in vars(value):
-            _naming_arguments(value)
-        globals()[name] = value
-        return value
-    if name in _SUBMODULES:
-        return importlib.import_module(f"adaptmg.{name}")
-    raise AttributeError(f"module 'adaptmg' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return _NAMES

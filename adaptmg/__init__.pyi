@@ -1,107 +1,56 @@
-# Written by tests/helpers/stub.py from the table of names in __init__.py.
+"""The public names, loaded when first used; this list is the one that lazy_loader reads."""
 
-from adaptmg import cases as cases
-from adaptmg import discrete as discrete
-from adaptmg import estimate as estimate
-from adaptmg import export as export
-from adaptmg import mesh as mesh
-from adaptmg import multigrid as multigrid
-from adaptmg import plot as plot
-from adaptmg import problem as problem
-from adaptmg import smoother as smoother
-from adaptmg import solver as solver
-from adaptmg import study as study
-from adaptmg import transfer as transfer
-from adaptmg._threads import set_threads as set_threads
-from adaptmg.discrete.discretise import discretise as discretise
-from adaptmg.discrete.problem import ContactNodes as ContactNodes
-from adaptmg.discrete.problem import DiscreteProblem as DiscreteProblem
-from adaptmg.estimate.adapt import adapt as adapt
-from adaptmg.estimate.bisect import Bisect as Bisect
-from adaptmg.estimate.estimate import Doerfler as Doerfler
-from adaptmg.estimate.estimate import Estimate as Estimate
-from adaptmg.estimate.estimate import Maximum as Maximum
-from adaptmg.estimate.goal import Goal as Goal
-from adaptmg.estimate.goal import GoalEstimate as GoalEstimate
-from adaptmg.estimate.quantities import ContactForce as ContactForce
-from adaptmg.estimate.quantities import Displacement as Displacement
-from adaptmg.estimate.quantities import MeanDisplacement as MeanDisplacement
-from adaptmg.estimate.quantities import Opening as Opening
-from adaptmg.estimate.recovery import Recovery as Recovery
-from adaptmg.estimate.remesh import Remesh as Remesh
-from adaptmg.estimate.residual import Residual as Residual
-from adaptmg.estimate.step import Step as Step
-from adaptmg.hierarchy import Hierarchy as Hierarchy
-from adaptmg.hierarchy import Level as Level
-from adaptmg.mesh import MeshArrays as MeshArrays
-from adaptmg.mesh import SizeNear as SizeNear
-from adaptmg.multigrid import CoarseSolve as CoarseSolve
-from adaptmg.multigrid import Cycle as Cycle
-from adaptmg.multigrid import Monotone as Monotone
-from adaptmg.multigrid import NestedStart as NestedStart
-from adaptmg.multigrid import PaperCorrection as PaperCorrection
-from adaptmg.problem import Assembly as Assembly
-from adaptmg.problem import Axisymmetric as Axisymmetric
-from adaptmg.problem import Ball as Ball
-from adaptmg.problem import BodyForce as BodyForce
-from adaptmg.problem import Box as Box
-from adaptmg.problem import Circle as Circle
-from adaptmg.problem import Common as Common
-from adaptmg.problem import Contact as Contact
-from adaptmg.problem import ContactPair as ContactPair
-from adaptmg.problem import ContactProblem as ContactProblem
-from adaptmg.problem import Coulomb as Coulomb
-from adaptmg.problem import Cut as Cut
-from adaptmg.problem import Cylinder as Cylinder
-from adaptmg.problem import Extrusion as Extrusion
-from adaptmg.problem import Frictionless as Frictionless
-from adaptmg.problem import Fuse as Fuse
-from adaptmg.problem import GapFunction as GapFunction
-from adaptmg.problem import InitialStrain as InitialStrain
-from adaptmg.problem import LoadPath as LoadPath
-from adaptmg.problem import Moved as Moved
-from adaptmg.problem import Outline as Outline
-from adaptmg.problem import Plane as Plane
-from adaptmg.problem import PlaneStrain as PlaneStrain
-from adaptmg.problem import PlaneStress as PlaneStress
-from adaptmg.problem import PointSpring as PointSpring
-from adaptmg.problem import PointSupport as PointSupport
-from adaptmg.problem import Polygon as Polygon
-from adaptmg.problem import Pressure as Pressure
-from adaptmg.problem import Rectangle as Rectangle
-from adaptmg.problem import Revolution as Revolution
-from adaptmg.problem import Solid as Solid
-from adaptmg.problem import Spring as Spring
-from adaptmg.problem import StepFile as StepFile
-from adaptmg.problem import Support as Support
-from adaptmg.problem import Symmetry as Symmetry
-from adaptmg.problem import Traction as Traction
-from adaptmg.problem import Tresca as Tresca
-from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel as ProjectedGaussSeidel
-from adaptmg.smoother.system import OPEN as OPEN
-from adaptmg.smoother.system import SLIP as SLIP
-from adaptmg.smoother.system import STICK as STICK
-from adaptmg.solver.active_set import ActiveSet as ActiveSet
-from adaptmg.solver.certificate import Certificate as Certificate
-from adaptmg.solver.linear import AMG as AMG
-from adaptmg.solver.linear import Direct as Direct
-from adaptmg.solver.load_path import PathResult as PathResult
-from adaptmg.solver.load_path import solve_path as solve_path
-from adaptmg.solver.multigrid import FullMultigrid as FullMultigrid
-from adaptmg.solver.multigrid import Multigrid as Multigrid
-from adaptmg.solver.record import Status as Status
-from adaptmg.solver.result import NotConverged as NotConverged
-from adaptmg.solver.result import Result as Result
-from adaptmg.solver.single_grid import SingleGrid as SingleGrid
-from adaptmg.solver.solve import solve as solve
-from adaptmg.solver.truncated import Truncated as Truncated
-from adaptmg.study.study import Study as Study
-from adaptmg.transfer import Interpolation as Interpolation
-from adaptmg.transfer import L2 as L2
-from adaptmg.transfer import LumpedL2 as LumpedL2
-from adaptmg.transfer import PseudoL2 as PseudoL2
-from adaptmg.transfer import QuasiInterpolation as QuasiInterpolation
+from . import (
+    cases as cases, discrete as discrete, estimate as estimate, export as export, mesh as mesh, multigrid as multigrid,
+    plot as plot, problem as problem, smoother as smoother, solver as solver, study as study, transfer as transfer
+)
+from ._threads import set_threads as set_threads
+from .discrete.discretise import discretise as discretise
+from .discrete.problem import ContactNodes as ContactNodes, DiscreteProblem as DiscreteProblem
+from .estimate.adapt import adapt as adapt
+from .estimate.bisect import Bisect as Bisect
+from .estimate.estimate import Doerfler as Doerfler, Estimate as Estimate, Maximum as Maximum
+from .estimate.goal import Goal as Goal, GoalEstimate as GoalEstimate
+from .estimate.quantities import (
+    ContactForce as ContactForce, Displacement as Displacement, MeanDisplacement as MeanDisplacement,
+    Opening as Opening
+)
+from .estimate.recovery import Recovery as Recovery
+from .estimate.remesh import Remesh as Remesh
+from .estimate.residual import Residual as Residual
+from .estimate.step import Step as Step
+from .hierarchy import Hierarchy as Hierarchy, Level as Level
+from .mesh import MeshArrays as MeshArrays, SizeNear as SizeNear
+from .multigrid import (
+    CoarseSolve as CoarseSolve, Cycle as Cycle, Monotone as Monotone, NestedStart as NestedStart,
+    PaperCorrection as PaperCorrection
+)
+from .problem import (
+    Assembly as Assembly, Axisymmetric as Axisymmetric, Ball as Ball, BodyForce as BodyForce, Box as Box,
+    Circle as Circle, Common as Common, Contact as Contact, ContactPair as ContactPair,
+    ContactProblem as ContactProblem, Coulomb as Coulomb, Cut as Cut, Cylinder as Cylinder, Extrusion as Extrusion,
+    Frictionless as Frictionless, Fuse as Fuse, GapFunction as GapFunction, InitialStrain as InitialStrain,
+    LoadPath as LoadPath, Moved as Moved, Outline as Outline, Plane as Plane, PlaneStrain as PlaneStrain,
+    PlaneStress as PlaneStress, PointSpring as PointSpring, PointSupport as PointSupport, Polygon as Polygon,
+    Pressure as Pressure, Rectangle as Rectangle, Revolution as Revolution, Solid as Solid, Spring as Spring,
+    StepFile as StepFile, Support as Support, Symmetry as Symmetry, Traction as Traction, Tresca as Tresca
+)
+from .smoother.gauss_seidel import ProjectedGaussSeidel as ProjectedGaussSeidel
+from .smoother.system import OPEN as OPEN, SLIP as SLIP, STICK as STICK
+from .solver.active_set import ActiveSet as ActiveSet
+from .solver.certificate import Certificate as Certificate
+from .solver.linear import AMG as AMG, Direct as Direct
+from .solver.load_path import PathResult as PathResult, solve_path as solve_path
+from .solver.multigrid import FullMultigrid as FullMultigrid, Multigrid as Multigrid
+from .solver.record import Status as Status
+from .solver.result import NotConverged as NotConverged, Result as Result
+from .solver.single_grid import SingleGrid as SingleGrid
+from .solver.solve import solve as solve
+from .solver.truncated import Truncated as Truncated
+from .study.study import Study as Study
+from .transfer import (
+    Interpolation as Interpolation, L2 as L2, LumpedL2 as LumpedL2, PseudoL2 as PseudoL2,
+    QuasiInterpolation as QuasiInterpolation
+)
 
 __version__: str
-_HOME: dict[str, str]
-_SUBMODULES: tuple[str, ...]

@@ -9,6 +9,7 @@ tables in data/measured (written by studies). Needs the packages of ``pip instal
 from __future__ import annotations
 
 import argparse
+import ast
 import shutil
 import subprocess
 import sys
@@ -74,9 +75,11 @@ def public_names() -> dict[str, list[str]]:
     """Every public name, by the page of the reference that shows it."""
     pages: dict[str, list[str]] = {task: [] for task in TASKS}
     task_of = {module: task for task, (_, _, modules) in TASKS.items() for module in modules}
-    every = [(home.split(".")[1], name) for name, home in sorted(am._HOME.items())]
-    every += [(module, f"{module}.{name}") for module in am._SUBMODULES
-              for name in getattr(getattr(am, module), "__all__", ()) if name not in am._HOME]
+    homes = {name.name: node.module for node in ast.parse(Path(am.__file__).with_suffix(".pyi").read_text()).body
+             if isinstance(node, ast.ImportFrom) for name in node.names}
+    every = [(home.split(".")[0], name) for name, home in sorted(homes.items()) if home]
+    every += [(module, f"{module}.{name}") for module, home in homes.items() if not home
+              for name in getattr(getattr(am, module), "__all__", ()) if name not in homes]
     for module, name in every:
         pages["laws" if name in LAWS else "domains" if name in DOMAINS else task_of[module]].append(name)
     return pages

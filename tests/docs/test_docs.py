@@ -1,6 +1,7 @@
 """The README and the documentation: examples run, what is named exists, every public name has a page."""
 
 import importlib.util
+import inspect
 import re
 import textwrap
 from dataclasses import replace
@@ -22,8 +23,9 @@ def test_every_public_name_is_on_one_page_of_the_reference():
     docs = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(docs)
     listed = [name for names in docs.public_names().values() for name in names]
-    public = [*am._HOME] + [f"{module}.{name}" for module in am._SUBMODULES if module != "solver"
-                            for name in getattr(am, module).__all__ if name not in am._HOME]
+    modules = [name for name in dir(am) if inspect.ismodule(getattr(am, name))]
+    public = [*set(dir(am)) - set(modules)] + [f"{module}.{name}" for module in modules if module != "solver"
+                                               for name in getattr(am, module).__all__ if name not in dir(am)]
     assert sorted(listed) == sorted(public)
 
 

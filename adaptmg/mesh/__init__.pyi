@@ -1,0 +1,14 @@
+from .arrays import MeshArrays as MeshArrays
+from .bisection import bisect as bisect, refine_near as refine_near
+from .bisection.coarsen import coarsen as coarsen
+from .bisection.onto_domain import onto_domain as onto_domain
+from .grading import graded as graded, sized as sized
+from .netgen_solid import solid_mesh as solid_mesh
+from .ngsolve_bridge import to_ngsolve as to_ngsolve
+from .read import as_mesh as as_mesh, from_gmsh as from_gmsh, from_ngsolve as from_ngsolve
+from .size_near import SizeNear as SizeNear
+from .soundness import (
+    check_mesh as check_mesh, MeshQuality as MeshQuality, quality as quality, with_source as with_source
+)
+from .step import from_step as from_step, step_names as step_names
+from .structured import merged as merged, structured as structured

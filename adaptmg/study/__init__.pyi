@@ -1,0 +1,8 @@
+from .cluster import local_cluster as local_cluster
+from .designs import (
+    Grid as Grid, LatinHypercube as LatinHypercube, Points as Points, Random as Random, Repeated as Repeated,
+    Sobol as Sobol, Zip as Zip
+)
+from .record import StudyStatus as StudyStatus
+from .study import Study as Study
+from .tables import as_text as as_text
