@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptmg._blas import one_blas_thread
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.discrete.recovery import apart, fitted
+from adaptmg.discrete.recovery import recovered
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, posed
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
@@ -43,8 +43,7 @@ class Recovery:
         :meth:`adaptmg.Residual.indicate`.
         """
         this = posed(hierarchy, result)
-        recovered = recovered_stress(this.stress, this.neighbours.across)
-        squares = recovered_energy(this.stress, recovered)
+        squares = recovered_energy(this.stress, recovered_stress(this.stress))
         by_body = np.bincount(this.mesh.element_body, weights=squares, minlength=len(this.mesh.bodies))
         return Estimate(squares=squares, norm=this.norm, indicator="recovered stress",
                         terms=dict(zip(this.mesh.bodies, by_body, strict=True)))
@@ -59,14 +58,10 @@ class RecoveredStress:
     sampled: np.ndarray  # (n_elements, n_values): the stress at the centroids, Pa
 
 
-def recovered_stress(stress: ElementStress, across: np.ndarray) -> RecoveredStress:
+def recovered_stress(stress: ElementStress) -> RecoveredStress:
     """Fit a stress that is continuous in each body."""
-    mesh = stress.mesh
-    cells, points = apart(mesh)
-    sampled, boundary = _sampled(stress), np.zeros(len(points), dtype=bool)
-    mark_boundary(cells, across, mesh.element_body, boundary)
-    nodal = fitted(points, cells, mesh.points[mesh.elements].mean(axis=1), boundary, sampled)
-    return RecoveredStress(cells, nodal, sampled)
+    sampled = _sampled(stress)
+    return RecoveredStress(*recovered(stress.mesh, sampled), sampled)
 
 
 def _sampled(stress: ElementStress) -> np.ndarray:
@@ -90,18 +85,6 @@ def recovered_energy(stress: ElementStress, found: RecoveredStress) -> np.ndarra
         difference_energy(found.cells, mesh.volumes, mesh.element_body, data.lame, data.shear, found.sampled,
                           found.nodal, squares)
     return squares
-
-
-@kernel
-def mark_boundary(elements, across, body, boundary):
-    """Set ``boundary`` (n_nodes,) at the nodes of facets with nothing, or another body, on the other side."""
-    k = elements.shape[1]
-    for e in range(len(elements)):
-        for c in range(k):
-            f = across[e, c]
-            if f < 0 or body[f] != body[e]:
-                for j in range(1, k):
-                    boundary[elements[e, (c + j) % k]] = True
 
 
 @inner_kernel
