@@ -1,26 +1,69 @@
-"""Files that are either complete or not there: the one place where adaptmg writes.
+"""Files: the one place where adaptmg writes them, and the one where it opens those of others.
 
-The content goes into a temporary file next to the target, is synchronised with the disk, and then takes the target's
-name. A process that is killed meanwhile leaves at most a file ``.adaptmg-*.part``; the next process that writes there
-removes those of yesterday.
+What is written is either complete or not there. The content goes into a temporary file next to the target, is
+synchronised with the disk, and then takes the target's name. A process that is killed meanwhile leaves at most
+``.adaptmg-HOST-PID-TOKEN.part``; the next process of the same user that writes there removes it, if process PID of
+this machine has ended. What is read is a regular file of a bounded size, never a pipe or a device.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
+import platform
+import re
 import secrets
 import shutil
 import stat
 import sys
-import time
+import tempfile
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
+from typing import BinaryIO
 
-_OLD = 86400.0  # s: temporary files of this age belong to no living process
+from adaptmg._text import printable
+
+#: bytes of a file that is read, unless a smaller limit is given
+MOST_BYTES = 2**36
 _STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
+_PART = re.compile(r"\.adaptmg-([0-9a-f]{8})-([0-9]{1,9})-[0-9a-f]{16}\.part")
+_STAMP = re.compile(rb"<!-- adaptmg ([0-9a-f]{64}) -->\n\Z")
 _cleaned: set[Path] = set()
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike[str], most: float = MOST_BYTES) -> Iterator[BinaryIO]:
+    """Open a regular file for reading; ValueError for a folder, device or pipe, and for more than ``most`` bytes."""
+    # a pipe without a writer would wait
+    flags, shown = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0), printable(os.fspath(path))
+    if os.path.isdir(path):
+        raise ValueError(f"{shown} must be a file, not a folder, device or pipe")
+    with open(os.open(path, os.O_RDONLY | flags), "rb") as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise ValueError(f"{shown} must be a file, not a folder, device or pipe")
+        if status.st_size > most:
+            raise ValueError(f"{shown} must have at most {most:.3g} bytes, it has {status.st_size:.3g}")
+        yield file
+
+
+def read_bytes(path: str | os.PathLike[str], most: float = MOST_BYTES) -> bytes:
+    """Return the content of a regular file; as :func:`opened`."""
+    with opened(path, most) as file:
+        # no more than the size says: files of the system may have no end
+        return file.read(os.fstat(file.fileno()).st_size)
+
+
+def file_size(name: str, path: Path) -> int:
+    """Return the size of a regular file that another process will read; FileNotFoundError if there is none."""
+    try:
+        with opened(path) as file:
+            return os.fstat(file.fileno()).st_size
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{name}: there is no file {printable(os.fspath(path))!r}") from error
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
@@ -53,6 +96,18 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
+def stamped(content: bytes) -> bytes:
+    """Return an XML document with a comment at its end by which :func:`is_stamped` recognises it."""
+    return content + b"<!-- adaptmg %s -->\n" % hashlib.sha256(content).hexdigest().encode()
+
+
+def is_stamped(path: Path) -> bool:
+    """Whether a file is one that was written with :func:`stamped`, and has not changed since."""
+    content = read_bytes(path)
+    stamp = _STAMP.search(content, max(0, len(content) - 100))
+    return stamp is not None and hashlib.sha256(content[:stamp.start()]).hexdigest().encode() == stamp[1]
+
+
 def make_folder(name: str, path: Path) -> None:
     """Make a folder and those above it where they are missing."""
     try:
@@ -62,11 +117,18 @@ def make_folder(name: str, path: Path) -> None:
                                  str(path)) from error
 
 
+def temporary_folder(folder: str | os.PathLike[str] = "") -> Path:
+    """Make a folder inside another one, by default that of temporary files; after a kill the next process removes it,
+    in place of the caller."""
+    made = _part(Path(folder or tempfile.gettempdir()))
+    made.mkdir(mode=0o700)
+    return made
+
+
 @contextlib.contextmanager
-def waiting_folder(folder: Path) -> Iterator[Path]:
-    """A folder inside another in which files wait to be put in place together; it is removed in the end."""
-    waiting = _part(folder)
-    waiting.mkdir()
+def waiting_folder(folder: str | os.PathLike[str] = "") -> Iterator[Path]:
+    """A :func:`temporary_folder`, for files that are put in place together, which is removed in the end."""
+    waiting = temporary_folder(folder)
     try:
         yield waiting
     finally:
@@ -104,11 +166,35 @@ def _write_all(descriptor: int, content: bytes) -> None:
 
 
 def _part(folder: Path) -> Path:
-    """A new temporary name in a folder; the first time in a process, old ones are removed."""
+    """A new temporary name in a folder; the first time in a process, what ended processes left there is removed."""
     if folder not in _cleaned:
         _cleaned.add(folder)
-        for old in folder.glob(".adaptmg-*.part"):
-            with contextlib.suppress(OSError):
-                if time.time() - old.stat().st_mtime > _OLD:
-                    shutil.rmtree(old) if old.is_dir() else old.unlink()
-    return folder / f".adaptmg-{secrets.token_hex(8)}.part"
+        with contextlib.suppress(OSError):
+            for name in os.listdir(folder):
+                if (match := _PART.fullmatch(name)) and match[1] == _host() and _left(folder / name, int(match[2])):
+                    _remove(folder / name)
+    return folder / f".adaptmg-{_host()}-{os.getpid()}-{secrets.token_hex(8)}.part"
+
+
+@lru_cache(maxsize=1)
+def _host() -> str:
+    """Eight digits for this machine, or container: numbers of processes mean nothing elsewhere."""
+    space = ""
+    with contextlib.suppress(OSError):
+        space = os.readlink("/proc/self/ns/pid")
+    return hashlib.sha256(f"{platform.node()} {space}".encode()).hexdigest()[:8]
+
+
+def _left(path: Path, pid: int) -> bool:
+    """Whether it belongs to this user and the process that made it has ended."""
+    import psutil
+
+    return not psutil.pid_exists(pid) and path.lstat().st_uid == getattr(os, "getuid", lambda: 0)()
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()

@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from adaptmg import _checks as checks
+from adaptmg._files import read_bytes
 from adaptmg._text import printable
 from adaptmg.cases import CASES, get
 from adaptmg.cli.build import PURPOSE, SETTINGS, Key, case_keys, sections, sensible_grids, setting
@@ -48,10 +49,7 @@ class StudyFile:
 def read(path: str | os.PathLike[str]) -> StudyFile:
     """Read and check a study file."""
     file = checks.file_path("FILE", path)
-    with file.open("rb") as stream:
-        content = stream.read(_MOST + 1)
-    if len(content) > _MOST:
-        raise ValueError(f"{printable(str(file))}: it has more than {_MOST} bytes")
+    content = read_bytes(file, _MOST)
     with _named(file):
         # Windows begins texts with a mark
         return _checked(file, tomllib.loads(content.decode("utf-8-sig")))

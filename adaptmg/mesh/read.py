@@ -9,18 +9,19 @@ of an interface are glued there, or split: then each has separate nodes, and the
 from __future__ import annotations
 
 import gzip
+import io
 import re
 import sys
 import warnings
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._files import file_size, read_bytes, waiting_folder
 from adaptmg._on_demand import OnDemand
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
@@ -150,9 +151,7 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
 
 def _file(name: str, path: str | Path) -> Path:
     path = checks.file_path(name, path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{name}: there is no file {str(path)!r}")
-    checks.fits(name, _BYTES_PER_BYTE * path.stat().st_size, f"reading {str(path)!r}")
+    checks.fits(name, _BYTES_PER_BYTE * file_size(name, path), f"reading {str(path)!r}")
     return path
 
 
@@ -327,7 +326,7 @@ def _from_netgen_file(path: Path) -> MeshArrays:
     """Read a mesh of Netgen."""
     try:
         text = _unpacked(path)
-        with TemporaryDirectory() as folder:
+        with waiting_folder() as folder:
             # unpacked, and with nothing behind its end: geometry may follow there
             plain = Path(folder, "mesh.vol")
             plain.write_bytes(text)
@@ -341,11 +340,11 @@ def _from_netgen_file(path: Path) -> MeshArrays:
 
 def _unpacked(path: Path) -> bytes:
     """The bytes of a file up to the end of its mesh."""
-    data = path.read_bytes()
+    data = read_bytes(path)
     if path.suffix == ".gz":
         limit = _MAX_PACKING * len(data) + 2**20
         try:
-            with gzip.open(path) as stream:
+            with gzip.open(io.BytesIO(data)) as stream:
                 data = stream.read(limit + 1)
         except (OSError, EOFError, zlib.error) as error:
             raise ValueError(f"it cannot be unpacked: {error}") from error

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._files import file_size
 from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen
 from adaptmg.mesh.netgen_solid import Shape, SolidSizes, shape_mesh
@@ -108,13 +109,12 @@ def step_names(path: str | Path | StepFile) -> dict[str, tuple[str, ...]]:
 def step_contents(worker: Netgen, domain: StepFile) -> dict[str, tuple[str, ...]]:
     """The names of the faces of a file by those of its solids, which the process holds then."""
     path = domain.path
-    if not path.is_file():
-        raise FileNotFoundError(f"path: there is no file {str(path)!r}")
+    size = file_size("path", path)
     if path.suffix.lower() not in (".step", ".stp"):
         raise ValueError(f"path: {str(path)!r} is not a .step or .stp file")
-    checks.fits("path", _BYTES_PER_BYTE * path.stat().st_size, f"reading {str(path)!r}")
+    checks.fits("path", _BYTES_PER_BYTE * size, f"reading {str(path)!r}")
     try:
-        solids = worker("read_step", str(path.absolute()), seconds=_START_S + _S_PER_BYTE * path.stat().st_size)
+        solids = worker("read_step", str(path.absolute()), seconds=_START_S + _S_PER_BYTE * size)
     except NetgenFails as error:
         raise ValueError(f"{str(path)!r} cannot be read as a STEP file: {error}") from error
     if not solids:

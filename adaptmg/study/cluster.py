@@ -25,7 +25,6 @@ import pickle
 import queue
 import re
 import signal
-import tempfile
 import time
 import uuid
 from collections import deque
@@ -43,6 +42,7 @@ from distributed.utils import sync
 from tornado.ioloop import PeriodicCallback
 
 from adaptmg import _checks as checks
+from adaptmg._files import waiting_folder
 from adaptmg.study.execute import (
     Execute,
     Finished,
@@ -408,8 +408,8 @@ def local_cluster(workers: int) -> Iterator[Client]:
     # reports connections to processes that were ended
     logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
     with _scripts_not_run_again(), _environment_kept(), \
-            tempfile.TemporaryDirectory(prefix="adaptmg-workers-", ignore_cleanup_errors=True) as folder, \
-            dask.config.set(_CONFIG | {"temporary-directory": folder}):
+            waiting_folder() as folder, \
+            dask.config.set(_CONFIG | {"temporary-directory": str(folder)}):
         cluster = client = None
         try:
             with _interrupt_held_back():

@@ -1,6 +1,7 @@
 """Damaged mesh files and STEP files: each row writes its own, and every message names the file."""
 
 import gzip
+import os
 import struct
 import sys
 from pathlib import Path
@@ -159,6 +160,11 @@ def _other_files():
     for label, data in {"not packed": VOL.encode(), "cut": packed[:60], "damaged": packed[:40] + b"xx" + packed[42:],
                         "bomb": gzip.compress(b"mesh3d\n" + b"0" * 50_000_000, compresslevel=1)}.items():
         yield Hostile(f"vol.gz {label}", lambda d=data: _read("bad.vol.gz", d), "bad.vol.gz", ValueError, writes=True)
+
+
+    for name in ("pipe.msh", "pipe.vol", "pipe.vol.gz", "pipe.step"):
+        yield Hostile(name, lambda n=name: (os.mkfifo(n), (step_names if n.endswith("step") else as_mesh)(n)), name,
+                      ValueError, writes=True)
 
 
 def _step_files():

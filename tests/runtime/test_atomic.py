@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from adaptmg._files import waiting_folder, write_bytes
+from adaptmg import _files
+from adaptmg._files import read_bytes, waiting_folder, write_bytes
 
 
 @pytest.fixture
@@ -96,12 +97,40 @@ def test_a_kill_leaves_whole_files_and_what_a_later_writer_removes(tmp_path):
             content = file.read_bytes()
             assert len(content) == 10**6 and len(set(content)) == 1
     (tmp_path / ".adaptmg-0.part").mkdir()
-    (tmp_path / ".adaptmg-1.part").write_bytes(b"of yesterday")
-    for part in tmp_path.glob(".adaptmg-*.part"):
-        os.utime(part, (0, 0))
-    (tmp_path / ".adaptmg-2.part").write_bytes(b"of a living process")
+    part = _files._part(tmp_path)
+    foreign = [part.name.replace(_files._host(), "01234567"), ".adaptmg-0.part", ".adaptmg-mine.part"]
+    for name in (part.name, *foreign[::2]):
+        (tmp_path / name).write_bytes(b"x")
     write_bytes(tmp_path / "f0", b"end")
-    assert [name for name in names(tmp_path) if name.endswith(".part")] == [".adaptmg-2.part"]
+    # those of processes that have ended are gone; those of this one, of another machine, and other files are not
+    assert sorted(p.name for p in tmp_path.glob(".*")) == sorted([part.name, *foreign])
+
+
+def test_what_a_killed_process_left_is_removed_by_the_next_one(tmp_path):
+    code = ("import os, sys, tempfile\ntempfile.tempdir = sys.argv[1]\n"
+            "from adaptmg._files import temporary_folder\n"
+            "(temporary_folder() / 'file').write_text('x')\n"
+            "print(*os.listdir(sys.argv[1]), flush=True)\n"
+            "sys.stdin.read()\n")
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                          text=True) as first:
+        left = first.stdout.readline().split()
+        run = [sys.executable, "-c", code, str(tmp_path)]
+        both = subprocess.run(run, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True).stdout.split()
+        assert len(left) == 1 and set(left) < set(both)
+        first.kill()
+    last = subprocess.run(run, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True).stdout.split()
+    assert len(last) == 1 and not set(last) & set(both)
+
+
+@pytest.mark.parametrize("path", ["a folder", "a pipe", "/dev/zero", "/dev/null", "too large"])
+def test_only_regular_files_of_a_bounded_size_are_opened(tmp_path, path):
+    os.mkfifo(tmp_path / "a pipe")
+    (tmp_path / "a folder").mkdir()
+    (tmp_path / "too large").write_bytes(b"x" * 11)
+    with pytest.raises(ValueError, match=f"{path} must (be a file|have at most 10 bytes, it has 11)"):
+        read_bytes(tmp_path / path, 10)
+    assert read_bytes(tmp_path / "too large", 11) == b"x" * 11
 
 
 def test_many_threads_may_write_one_file(tmp_path):
