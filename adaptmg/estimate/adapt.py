@@ -21,7 +21,7 @@ from adaptmg._text import say
 from adaptmg.estimate.bisect import Bisect
 from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
 from adaptmg.estimate.loop import AdaptiveLoop, Parts, Progress
-from adaptmg.estimate.loop_store import LoopStore, loop_fingerprint
+from adaptmg.estimate.loop_store import loop_fingerprint, loop_store
 from adaptmg.estimate.remesh import Remesh
 from adaptmg.estimate.residual import Residual
 from adaptmg.estimate.step import Engine, Limits, Step, sound_mesh
@@ -123,7 +123,7 @@ def adapt(problem: ContactProblem,
     if store is not None:
         options = {"indicator": parts.indicator, "mark": parts.mark, "engine": parts.engine, "solver": parts.solver,
                    "transfer": first.transfer, "contact_rows": first.contact_rows, "adapt_on": parts.adapt_on}
-        steps = LoopStore(store, loop_fingerprint(first, options, load_path, depends))
+        steps = loop_store(store, loop_fingerprint(first, options, load_path, depends))
     report = _written if progress is True else progress or None
     return AdaptiveLoop(first, parts, limits, steps, report).steps()
 

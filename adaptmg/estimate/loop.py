@@ -25,7 +25,7 @@ from adaptmg._blas import one_blas_thread
 from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.bisect import divisible
 from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of
-from adaptmg.estimate.loop_store import LoopStore, Meshes, StoredStep
+from adaptmg.estimate.loop_store import Meshes, StoredStep
 from adaptmg.estimate.step import (
     Engine,
     Limits,
@@ -36,6 +36,7 @@ from adaptmg.estimate.step import (
 )
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.bisection.tables import history_arrays, with_history
 from adaptmg.problem import LoadPath, step_problem
 from adaptmg.solver.advice import once
 from adaptmg.solver.load_path import PathResult, solve_path
@@ -43,6 +44,7 @@ from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Solver
 from adaptmg.solver.result import Result
 from adaptmg.solver.solve import solve
+from adaptmg.solver.store import StepStore, Stored
 from adaptmg.transfer.interpolation import size_ratio
 
 _LOG = logging.getLogger(__name__)
@@ -102,7 +104,7 @@ RESOLVED = 500
 class AdaptiveLoop:
     """One run of the adaptive loop."""
 
-    def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: LoopStore | None,
+    def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: StepStore | None,
                  progress: Progress | None) -> None:
         self.first, self.parts, self.limits, self.store, self.progress = start, parts, limits, store, progress
         self.clock, self.meshes = _Clock(), Meshes(start)
@@ -228,7 +230,8 @@ class AdaptiveLoop:
             if self.store is not None:
                 numbers = {"total_seconds": step.total_seconds, "work_units": step.work_units,
                            "total_work_units": step.total_work_units}
-                self.store.put(number, StoredStep(result, estimate, keys, extra, numbers, timings, path))
+                self.store.put(number, result, StoredStep(estimate, keys, extra, history_arrays(result.mesh), numbers,
+                                                          timings, path))
         self._remember(step)
         return step
 
@@ -240,10 +243,12 @@ class AdaptiveLoop:
             self.steering = _path_estimate(last.hierarchy, self.parts, last.path)[2]
         return self.steering
 
-    def _restored(self, number: int, stored: StoredStep) -> Step:
-        hierarchy = self.meshes.take(number, stored.result.mesh, stored.extra, stored.levels)
+    def _restored(self, number: int, step: Stored) -> Step:
+        stored: StoredStep = step.more
+        mesh = with_history(step.value.mesh, stored.history)
+        hierarchy = self.meshes.take(number, mesh, stored.extra, stored.levels)
         # one mesh for both, with its source
-        result = replace(stored.result, mesh=hierarchy.finest.mesh)
+        result = replace(step.value, mesh=hierarchy.finest.mesh)
         before = self.done[-1].estimate if self.done else None
         return Step(number, hierarchy, result, stored.estimate, stored.timings, path=stored.path,
                     settled=settled(stored.estimate, before), **stored.numbers)

@@ -1,19 +1,14 @@
-"""LoopStore: the finished steps of an adaptive loop in a folder, so that a killed loop goes on with the same numbers.
+"""The steps of an adaptive loop in a folder, so that a killed loop goes on with the same numbers.
 
-Each step is one file of a :class:`adaptmg.solver.step_store.StepStore`: the result with its mesh, the history of a
-bisected mesh, the estimate, the meshes that the step put between levels, and by number the meshes of its levels; with
-a load path the folder ``path_0003`` next to it. Limits (tolerance, nodes, seconds) are not part of the fingerprint: a
-loop may go on under others.
+Each step is one file of a :class:`adaptmg.solver.store.StepStore`: the result with its mesh, and a :class:`StoredStep`.
+Limits (tolerance, nodes, seconds) are not part of the fingerprint: a loop may go on under others.
 """
 
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -23,100 +18,34 @@ from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level, joined, level_of, the_transfer
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.tables import history_arrays, with_history
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.load_path import PathResult
-from adaptmg.solver.result import Result
-from adaptmg.solver.result_file import damage
-from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
+from adaptmg.solver.result import KINDS
+from adaptmg.solver.store import StepStore, fingerprint
 
 Key = tuple[int, int]
-_MESH = ("points", "elements", "facets", "facet_labels", "element_body")
 
 
 @dataclass(frozen=True, eq=False)
 class StoredStep:
-    """A step of a loop as a store keeps it."""
+    """What a store has of a step next to its result."""
 
-    result: Result
     estimate: Estimate
     levels: list[Key]  # for each level the step and place of its mesh
     extra: list[MeshArrays]  # meshes that came with this step next to its own
+    history: dict[str, np.ndarray]  # of the bisections that made its own mesh
     numbers: dict[str, float]  # total_seconds, work_units, total_work_units
     timings: dict[str, float]
     path: PathResult | None = None
 
 
-class LoopStore:
-    """A folder with finished steps."""
-
-    def __init__(self, folder: str | os.PathLike[str], mark: Mapping[str, object]) -> None:
-        self.store = StepStore.resumed(folder, "loop.json", {"fingerprint": dict(mark)})
-
-    def put(self, number: int, step: StoredStep) -> None:
-        """Keep a finished step; its file comes last."""
-        arrays = {f"mesh{k}.{name}": getattr(mesh, name) for k, mesh in enumerate(step.extra) for name in _MESH}
-        arrays |= {f"history.{name}": values for name, values in history_arrays(step.result.mesh).items()}
-        labels = [{"boundaries": list(mesh.boundaries), "bodies": list(mesh.bodies)} for mesh in step.extra]
-        text = {"levels": [list(key) for key in step.levels], "extra": labels, "timings": step.timings,
-                "numbers": step.numbers, "estimate": _plain_estimate(step.estimate), "path": step.path is not None}
-        if step.path is not None:
-            folder = self._path(number)
-            shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
-            step.path.save(folder)
-        self.store.put(number, StepContent(step.result, text, arrays | {"squares": step.estimate.squares}))
-
-    def steps(self) -> list[StoredStep]:
-        """The finished steps, from the first on."""
-        return [self._step(number, content) for number, content in enumerate(self.store.steps())]
-
-    def _path(self, number: int) -> Path:
-        return self.store.folder / f"path_{number:04d}"
-
-    def _step(self, number: int, content: StepContent) -> StoredStep:
-        result, text, arrays = content.result, content.text, content.arrays
-        with damage(self.store.folder / f"step_{number:04d}.npz"):
-            history = _named(arrays, "history.")
-            if history:
-                result = replace(result, mesh=with_history(result.mesh, history))
-            extra = [MeshArrays(**_named(arrays, f"mesh{k}."), boundaries=tuple(labels["boundaries"]),
-                                bodies=tuple(labels["bodies"])) for k, labels in enumerate(text["extra"])]
-            return StoredStep(result, _estimate(arrays["squares"], text["estimate"]),
-                              [(step, place) for step, place in text["levels"]], extra, text["numbers"],
-                              text["timings"], PathResult.load(self._path(number)) if text["path"] else None)
+#: what the file of a step holds; user-defined estimates come back as Estimate
+LOOP_KINDS = (*KINDS, StoredStep, GoalEstimate, Estimate, PathResult)
 
 
-def _named(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
-
-
-#: kinds of estimates that come back unchanged; user-defined ones come back as Estimate
-_KINDS = {kind.__name__: kind for kind in (Estimate, GoalEstimate)}
-_ARRAYS = ("values", "errors", "residuals")
-
-
-def _plain_estimate(estimate: Estimate) -> dict[str, object]:
-    kind = type(estimate) if type(estimate) in _KINDS.values() else Estimate
-    return {"kind": kind.__name__} | {part.name: _plain(getattr(estimate, part.name)) for part in fields(kind)
-                                      if part.name != "squares"}
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {name: _plain(part) for name, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, tuple | list) else value
-
-
-def _estimate(squares: np.ndarray, text: Mapping[str, Any]) -> Estimate:
-    """The inverse of :func:`_plain_estimate`."""
-    values = dict(text)
-    kind = _KINDS[values.pop("kind")]
-    for name, value in values.items():
-        if isinstance(value, list):
-            values[name] = np.array(value, dtype=np.float64) if name in _ARRAYS else tuple(value)
-    return kind(squares=squares, **values)
+def loop_store(folder: str | os.PathLike[str], mark: Mapping[str, object]) -> StepStore:
+    """The store of a loop with a fingerprint."""
+    return StepStore.resumed(folder, "loop.json", {"fingerprint": dict(mark)}, LOOP_KINDS)
 
 
 def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path: LoadPath | None = None,

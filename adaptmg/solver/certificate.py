@@ -14,8 +14,8 @@ displacement, energies to u'Au: never to a lifted nodal jump.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -90,13 +90,6 @@ class Certificate:
         if beyond(self.energy_error, energy_factor * rtol, self.energy_rounding):
             found.append("energy error")
         return tuple(found)
-
-    def as_dict(self) -> dict[str, object]:
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> Certificate:
-        return cls(**(values | {"lines": tuple(Condition(**line) for line in values["lines"])}))
 
     def __repr__(self) -> str:
         return shortened(str(self))

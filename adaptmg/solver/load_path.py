@@ -36,11 +36,10 @@ from adaptmg.solver.fallback import handed_over
 from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
-from adaptmg.solver.result import NotConverged, Result
-from adaptmg.solver.result_file import damage
+from adaptmg.solver.result import KINDS, NotConverged, Result
 from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, method_argument, result_of
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
-from adaptmg.solver.step_store import StepContent, StepStore, fingerprint
+from adaptmg.solver.store import StepStore, damage, fingerprint
 from adaptmg.solver.truncated import Truncated
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ class PathResult(Sequence[Result]):
     factors : dict of str to (n_steps,) array
         Factors of all steps of the path, by the name of the load; "default" where loads have no names.
     fingerprint : dict
-        What the path was solved for, see :mod:`adaptmg.solver.step_store`; empty without a store.
+        What the path was solved for, see :mod:`adaptmg.solver.store`; empty without a store.
     n_steps : int
         Steps of the whole path.
 
@@ -142,14 +141,14 @@ class PathResult(Sequence[Result]):
         return np.cumsum(ways, axis=0) if ways else np.zeros((0, 0))
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write a file a step, and the factors; ValueError if the folder holds another path already."""
+        """Write a file a step, and the factors; ValueError if the folder holds steps already."""
         target = checks.file_path("folder", folder)
-        if (target / _HEAD).exists():
-            raise ValueError(f"{target} holds a load path already: give another folder, or remove it")
         make_folder("folder", target)
         # the norms distinguish paths of the same factors
         norms = [float(np.linalg.norm(result.displacement)) for result in self.results]
-        store = StepStore(target, _HEAD, _head(self.factors, self.n_steps, self.fingerprint, norms))
+        store = StepStore(target, _HEAD, _head(self.factors, self.n_steps, self.fingerprint, norms), KINDS)
+        if not store.empty:
+            raise ValueError(f"{target} holds a load path already: give another folder, or remove it")
         for k, result in enumerate(self.results):
             store.put(k, _stored(k, result))
         store.write_head()
@@ -160,12 +159,12 @@ class PathResult(Sequence[Result]):
 
         ValueError if the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
         """
-        store = StepStore.read(checks.file_path("folder", folder), _HEAD)
+        store = StepStore.read(checks.file_path("folder", folder), _HEAD, KINDS)
         with damage(store.file):
             steps = checks.integer("steps", store.head["steps"])
             factors = {name: check_arrays.vector(f"factors[{name!r}]", values, steps)
                        for name, values in checks.instance("factors", store.head["factors"], dict).items()}
-        return cls(_results(store, steps), factors, store.head["fingerprint"], steps)
+        return cls(tuple(result for result, _ in _results(store, steps)), factors, store.head["fingerprint"], steps)
 
 
 _HEAD = "path.json"
@@ -177,16 +176,17 @@ def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[st
             "norms": list(norms), "fingerprint": dict(fingerprint)}
 
 
-def _stored(k: int, result: Result) -> StepContent:
-    return StepContent(result if k == 0 else replace(result, mesh=None))
+def _stored(k: int, result: Result) -> Result:
+    return result if k == 0 else replace(result, mesh=None)
 
 
-def _results(store: StepStore, steps: int) -> tuple[Result, ...]:
-    results = [step.result for step in store.steps()]
-    if len(results) > steps:
+def _results(store: StepStore, steps: int) -> list[tuple[Result, list[np.ndarray] | None]]:
+    """The results, and the displacements of coarse levels that were stored with them."""
+    stored = store.steps()
+    if len(stored) > steps:
         raise ValueError(f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
                          "remove it")
-    return tuple(replace(result, mesh=getattr(results[0], "mesh", None)) for result in results)
+    return [(replace(step.value, mesh=getattr(stored[0].value, "mesh", None)), step.more) for step in stored]
 
 
 class StepNotConverged(NotConverged):
@@ -265,10 +265,11 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     loop = PathLoop(grids, path, solver, start)
     mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, start,
                                                 depends)
-    kept = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark))
-    results = [] if kept is None else list(_results(kept, len(path)))
-    for k, result in enumerate(results):
-        loop.replay(k, result)
+    kept = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
+    results: list[Result] = []
+    for result, coarse in () if kept is None else _results(kept, len(path)):
+        loop.take_over(len(results), result, coarse)
+        results.append(result)
     if len(results) < len(path):
         warn_of_large_friction(loop.examiner)
         advise_on_problem(grids.problem, getattr(grids.finest, "mesh", None))
@@ -284,7 +285,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
                 raise StepNotConverged(result, k, loop.described(k), partial_result)
             return partial_result
         if kept is not None:
-            kept.put(k, _stored(k, result))
+            kept.put(k, _stored(k, result), loop.coarse)
         if callback is not None:
             callback(k, result)
     advise_on_path(grids.problem, results)
@@ -313,8 +314,8 @@ class _Restarted:
         start = better_start(examiner, past, run)
         return self.later.run(hierarchy, run, start.reshape(examiner.discrete.n_nodes, -1)), None
 
-    def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> None:
-        """Nothing to take over."""
+    def hold(self, rtol: float) -> None:
+        """Every step is solved to the tolerance of the solver."""
 
 
 _LOG = logging.getLogger(__name__)
@@ -337,6 +338,8 @@ class PathLoop:
         #: displacements of the last two steps on the finest level, and the forces that led there, None if unknown
         self.recent: list[tuple[np.ndarray, np.ndarray | None]] = [
             (begin, np.zeros_like(begin) if start is None else None)]
+        #: displacements of the last step on the coarse levels, where the method has them
+        self.coarse: list[np.ndarray] | None = None
 
     def described(self, k: int) -> str:
         """The factors of a step, for messages."""
@@ -375,13 +378,14 @@ class PathLoop:
         return (f"step {k} of {len(self.path)} ({self.described(k)}): {result.status.name} after {result.cycles} "
                 f"cycles and {result.seconds:.2g} s")
 
-    def replay(self, k: int, result: Result) -> None:
+    def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
+        """Go past a step that was solved before."""
         grids = self._posed(k)
         if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
             raise ValueError(f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
                              f"{grids.finest.n_nodes}")
-        moved = result.displacement.any()
-        coarse = self.method.replay(grids, self.past, result.rtol) if moved else None
+        if result.displacement.any():
+            self.method.hold(result.rtol)
         self._remember(grids, result, grids.finest.discrete.load_from_prescribed(), coarse)
 
     def _at_rest(self, forces: np.ndarray) -> bool:
@@ -417,7 +421,7 @@ class PathLoop:
         return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))
 
     def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
-        discrete = grids.finest.discrete
+        discrete, self.coarse = grids.finest.discrete, coarse
         # from the result, as a path that goes on from its store has it
         displacement = discrete.relative(result.displacement).reshape(-1)
         self.recent = [*self.recent[-1:], (displacement, forces)]

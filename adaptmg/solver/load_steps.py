@@ -46,8 +46,8 @@ class StepSolver(Protocol):
             ) -> tuple[Outcome, list[np.ndarray] | None]:
         """Solve a step; with the displacement of the coarse levels if the method has it."""
 
-    def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> list[np.ndarray] | None:
-        """The coarse displacements of a step whose result is known, solved to ``rtol``."""
+    def hold(self, rtol: float) -> None:
+        """Keep the tolerance of a step, where the first one sets it."""
 
 
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
@@ -154,16 +154,8 @@ class TruncatedSteps:
         else:
             start = better_start(examiner, past, run) if past.given else np.zeros(examiner.discrete.n_dofs)
         outcome = multigrid.finish(examiner.discrete.from_prescribed(start), cold)
-        self._hold(outcome.rtol)
+        self.hold(outcome.rtol)
         return outcome, coarse
-
-    def replay(self, hierarchy: Hierarchy, past: Past, rtol: float) -> list[np.ndarray] | None:
-        coarse = None
-        if self.start is not None:
-            multigrid = self._kept(hierarchy, Run(unit=hierarchy.finest.matrix.nnz))
-            coarse = multigrid.increment(self.start, past.levels)[:-1]
-        self._hold(rtol)
-        return coarse
 
     def _kept(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
         if self.multigrid is None or self.multigrid.spent:
@@ -172,7 +164,7 @@ class TruncatedSteps:
             self.multigrid.take(hierarchy, run)
         return self.multigrid
 
-    def _hold(self, rtol: float) -> None:
+    def hold(self, rtol: float) -> None:
         """Keep the tolerance that the discretisation error of the first step has set: increments have smaller ones."""
         if self.rtol == "discretisation":
             self.rtol = max(rtol, StopTest.ROUNDING_LIMIT)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._files import write_bytes
 from adaptmg._on_demand import made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.facets import area_vectors
@@ -22,10 +23,10 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, as_tensors, von_mises
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.solver.certificate import Certificate, certify
+from adaptmg.solver.certificate import Certificate, Condition, certify
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.record import Status
-from adaptmg.solver.result_file import read_result, write_result
+from adaptmg.solver.store import packed, read
 
 if TYPE_CHECKING:
     import pandas
@@ -417,17 +418,20 @@ class Result:
         return np.divide(own, total, out=np.ones_like(total), where=total > 0)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.result_file`."""
-        write_result(path, self)
+        """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.store`."""
+        write_bytes(checks.file_path("path", path), packed(self, KINDS))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
         """Read what :meth:`save` wrote; ValueError, which names the file, if it is something else or damaged."""
-        return cls(**read_result(path)[0])
+        return read(path, KINDS).value
 
 
 Result.mesh = made_on_demand("mesh", "The finest mesh.", "this result has no mesh (it comes from a bare "
                              "DiscreteProblem): its .displacement and .contact need none")
+
+#: what the file of a result holds
+KINDS = (Result, ContactResult, MeshArrays, StressData, Certificate, Condition, Status)
 
 
 @dataclass(frozen=True, eq=False)

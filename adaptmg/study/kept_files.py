@@ -2,7 +2,8 @@
 
 They are packed into bytes where the run function runs, so that workers need no disk in common with the store, and
 written whole by the process that owns the store: ``STORE.files/KEY/NAME-HASH.npz``. The hash of the content in the name
-keeps the old file until the row that names the new one is stored. Nothing is pickled.
+keeps the old file until the row that names the new one is stored; a file whose content has another hash is never
+removed. Nothing is pickled.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
+import itertools
 import os
 import re
 import shutil
 import sys
-import tempfile
 import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._files import make_folder, write_bytes
+from adaptmg._files import make_folder, read_bytes, temporary_folder, write_bytes
 from adaptmg._text import printable
 from adaptmg.mesh.arrays import MeshArrays
 
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
 #: characters of a text that goes into the row
 _LONG = 10_000
-_MESH = ("points", "elements", "facets", "facet_labels", "element_body")
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,12 @@ def pack(value: object) -> Packed | None:
         return Packed(".txt", value.encode("utf-8", "surrogatepass")) if len(value) > _LONG else None
     if isinstance(value, np.ndarray) and value.ndim:
         return Packed(".npy", _array(value))
-    if isinstance(value, MeshArrays):
-        buffer = io.BytesIO()
-        texts = {name: np.array(getattr(value, name), dtype=str) for name in ("boundaries", "bodies")}
-        np.savez_compressed(buffer, **{name: getattr(value, name) for name in _MESH}, **texts)
-        return Packed(".mesh.npz", buffer.getvalue())
     # without the module loaded there is no object of its class
-    if isinstance(value, _loaded("adaptmg.solver.result", "Result")):
-        return Packed(".result.npz", _saved(value))
+    if isinstance(value, (MeshArrays, *_loaded("adaptmg.solver.result", "Result"))):
+        from adaptmg.solver.result import KINDS
+        from adaptmg.solver.store import packed
+
+        return Packed(".mesh.npz" if isinstance(value, MeshArrays) else ".result.npz", packed(value, KINDS))
     if isinstance(value, _loaded("matplotlib.figure", "Figure")):
         return Packed(".svg", _drawn(value))
     return None
@@ -90,20 +88,12 @@ def _drawn(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _saved(result: Result) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="adaptmg-") as folder:
-        file = Path(folder, "result.npz")
-        result.save(file)
-        return file.read_bytes()
-
-
 class Folder:
     """The files of the runs in a store; a temporary folder for a store in memory."""
 
     def __init__(self, store: Path | None) -> None:
-        #: it need not exist
-        self.path = Path(tempfile.mkdtemp(prefix="adaptmg-study-")) if store is None else \
-            store.with_name(f"{store.name}.files")
+        # it need not exist
+        self.path = temporary_folder() if store is None else store.with_name(f"{store.name}.files")
         if store is None:
             weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
@@ -112,49 +102,56 @@ class Folder:
         folder = hashlib.sha256(f"{study}\0{key}".encode()).hexdigest()[:24]
         written = {}
         for name, item in packed.items():
-            plain = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:60]
-            written[name] = f"{folder}/{plain}-{_digest(item.content)}{item.ending}"
-            target = self.path / written[name]
+            plain = f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name)[:60]}-{_digest(item.content)}"
             try:
-                make_folder("the folder of the store's files", target.parent)
-                if target.is_symlink() or not target.is_file():
-                    target.unlink(missing_ok=True)  # a link or a pipe would be followed
-                write_bytes(target, item.content)
+                make_folder("the folder of the store's files", self.path / folder)
+                for k in itertools.count():
+                    # where something else has the name, a damaged file or a link, it stays
+                    written[name] = f"{folder}/{plain}{f'.{k}' if k else ''}{item.ending}"
+                    if not os.path.lexists(self.path / written[name]):
+                        write_bytes(self.path / written[name], item.content)
+                        break
+                    if self._content(written[name]) is not None:
+                        break
             except OSError as error:
                 raise OSError(f"{printable(os.fspath(self.path))}: {error.strerror or error}: make room, or check its "
                               "permissions") from error
         return written
 
     def remove(self, old: Mapping[str, str], new: Mapping[str, str]) -> None:
-        """Remove files of a run that its new row does not name; a path outside this folder is left alone."""
+        """Remove files of a run that its new row does not name; only those that hold what was written."""
         for path in set(old.values()) - set(new.values()):
-            with contextlib.suppress(ValueError, OSError):
-                self._file(path).unlink(missing_ok=True)
+            if self._content(path) is not None:
+                with contextlib.suppress(OSError):
+                    self._file(path).unlink()
 
     def read(self, path: str) -> np.ndarray | MeshArrays | Result | str | Path:
         """Return the content of a file: an array, a mesh, a result, a text; of a figure the path of its SVG file."""
         file = self._file(path)
-        try:
-            content = file.read_bytes()
-            if f"-{_digest(content)}." not in file.name:
-                raise ValueError("its content is not what was written")
-            if file.name.endswith(".svg"):
-                return file
-            if file.name.endswith(".txt"):
-                return content.decode("utf-8", "surrogatepass")
-            if file.name.endswith(".npy"):
-                return np.load(io.BytesIO(content), allow_pickle=False)
-            if file.name.endswith(".mesh.npz"):
-                with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-                    return MeshArrays(**{name: arrays[name] for name in _MESH},
-                                      **{name: tuple(arrays[name].tolist()) for name in ("boundaries", "bodies")})
-        except FileNotFoundError:
-            raise FileNotFoundError(f"{file} is missing: run that point again (rerun=True)") from None
-        except Exception as error:  # of zip files and numpy too, as a store may come from elsewhere
-            raise ValueError(f"{file} is damaged ({error}): run that point again (rerun=True)") from error
-        from adaptmg.solver.result import Result
+        if not file.exists():
+            raise FileNotFoundError(f"{file} is missing: run that point again (rerun=True)")
+        content = self._content(path)
+        if content is None:
+            raise ValueError(f"{file} is damaged (its content is not what was written): run that point again "
+                             "(rerun=True)")
+        if file.name.endswith(".svg"):
+            return file
+        if file.name.endswith(".txt"):
+            return content.decode("utf-8", "surrogatepass")
+        if file.name.endswith(".npy"):
+            return np.load(io.BytesIO(content), allow_pickle=False)
+        from adaptmg.solver.result import KINDS
+        from adaptmg.solver.store import read
 
-        return Result.load(file)
+        return read(file, (MeshArrays,) if file.name.endswith(".mesh.npz") else KINDS).value
+
+    def _content(self, path: str) -> bytes | None:
+        """The content of a file that was written here, None if it is not there or another."""
+        with contextlib.suppress(ValueError, OSError):
+            file = self._file(path)
+            content = read_bytes(file)
+            return content if f"-{_digest(content)}." in file.name else None
+        return None
 
     def _file(self, path: str) -> Path:
         """Return the path of a plain file in this folder, which need not exist; a row may come from elsewhere."""

@@ -62,6 +62,9 @@ KINDS = {
 def test_a_loop_that_is_broken_off_goes_on_with_the_same_numbers(tmp_path, kind, whole):
     done, options = KINDS[kind]
     once = list(loop(None, **options)) if options else whole
+    mine = tmp_path / "path_0000" / "mine.txt"
+    mine.parent.mkdir()
+    mine.write_text("x")
     list(itertools.islice(loop(tmp_path, **options), done))
     solved = []
     again = list(loop(tmp_path, **options,
@@ -70,6 +73,20 @@ def test_a_loop_that_is_broken_off_goes_on_with_the_same_numbers(tmp_path, kind,
     assert again[-1].outcome.startswith("max_nodes")
     assert [repr(step.estimate) for step in again] == [repr(step.estimate) for step in once]
     assert [step.path and len(step.path) for step in again] == [step.path and len(step.path) for step in once]
+    assert mine.exists()
+
+
+def test_a_step_that_is_there_is_not_written_again(tmp_path):
+    (tmp_path / "a").mkdir()
+    steps = loop(tmp_path / "a")
+    next(steps)
+    (tmp_path / "a" / "step_0001.npz").write_bytes(b"mine")
+    with pytest.raises(ValueError, match=r"step_0001\.npz is damaged"):
+        list(steps)
+    assert (tmp_path / "a" / "step_0001.npz").read_bytes() == b"mine"
+    # another process may store the same steps
+    both = [loop(tmp_path / "b"), loop(tmp_path / "b")]
+    assert all(numbers_of([a]) == numbers_of([b]) for a, b in zip(*both, strict=True))
 
 
 def test_a_finished_loop_is_read_not_made_again(kept, whole, monkeypatch):
@@ -142,7 +159,7 @@ def rewritten(file: Path, **changes: object) -> None:
     with np.load(file) as archive:
         arrays = dict(archive)
     meta = json.loads(arrays.pop("meta").tobytes())
-    meta["part_of"] |= {"text": meta["part_of"]["text"] | changes}
+    meta["more"]["StoredStep"] |= changes
     np.savez(file, **arrays, meta=np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from hostile_table import Hostile, each
 
 import adaptmg as am
+from adaptmg.solver import store
 
 FILE = "damaged.npz"
 
@@ -120,22 +121,36 @@ def _bombs():
     yield from (refused(name, lambda *good, c=content: zipped(displacement_npy=c)) for name, content in headers.items())
 
 
+def _changed(arrays: dict[str, np.ndarray], text: str, new: dict[str, object] | None = None, gone: str = "",
+             whole: object = None) -> bytes:
+    """A file with other fields of its result, or another value, and the hash that fits."""
+    meta = json.loads(text)
+    own = meta["value"]["Result"] | (new or {})
+    meta["value"] = {"Result": {name: v for name, v in own.items() if name != gone}} if whole is None else whole
+    del meta["hash"]
+    return packed(arrays, json.dumps(meta | {"hash": store._hash(meta, arrays)}).encode())
+
+
 def _texts():
     """Wrong JSON."""
     texts = {"no text": None, "no JSON": b"{", "list": b"[1]", "bad UTF-8": b'{"format": "\xff"}',
              "deep": b"[" * 100_000 + b"]" * 100_000}
     yield from (refused(f"meta: {name}", lambda d, arrays, text, new=new: packed(arrays, new))
                 for name, new in texts.items())
-    changes = {"format": 99, "status": "FINE", "names": "contact", "masters": ["a", "b"], "cycles": -1, "rate": True,
-               "rtol": "small", "work_units": None, "timings": {"setup": "long"}, "path": [[0, "smooth"]],
-               "levels": ["fine"], "versions": {"numpy": 2}, "problem_name": 3, "boundaries": ["bottom"],
-               "bodies": [], "part_of": "a path"}
-    for key, value in changes.items():
+    for key, value in {"format": 99, "part_of": "a path"}.items():
         yield refused(f"meta: {key}", lambda d, arrays, text, new={key: value}: packed(
             arrays, json.dumps(json.loads(text) | new).encode()))
-    for key in ("status", "path", "versions"):
-        yield refused(f"meta without {key}", lambda d, arrays, text, key=key: packed(
-            arrays, json.dumps({name: v for name, v in json.loads(text).items() if name != key}).encode()))
+    changes = {"status": {"Status": "FINE"}, "contact": {"ContactResult": {}}, "mesh": {"MeshArrays": {"points": []}},
+               "unknown": 3, "history": {"dict": 3}, "levels": {"tuple": 3}, "displacement": {"array": 0}}
+    for key, value in changes.items():
+        yield refused(f"meta: {key}", lambda d, arrays, text, new={key: value}: _changed(arrays, text, new))
+    for key in ("status", "path", "levels"):
+        yield refused(f"meta without {key}", lambda d, arrays, text, key=key: _changed(arrays, text, {}, key))
+    values = {"another kind": {"MeshArrays": {}}, "an unknown kind": {"Path": {}}, "the same": {"same": 99},
+              "no kind": {}, "two kinds": {"array": "displacement", "dict": {}}, "no array": {"array": "x"},
+              "a number": 3, "a list": []}
+    for label, value in values.items():
+        yield refused(f"meta: value is {label}", lambda d, arrays, text, v=value: _changed(arrays, text, whole=v))
 
 
 def _at(index: int, value: float):

@@ -83,6 +83,8 @@ _PATHS = {
         "a step of another path": _foreign(mark="another"), "a step on another mesh": _foreign(mark="a", mesh_of=3),
         "a result outside a path": lambda folder: results()[1].save(folder / "step_0001.npz"),
         "half a step": _cut("step_0001.npz"),
+        "a step that is a pipe": lambda folder: ((folder / "step_0001.npz").unlink(),
+                                                 os.mkfifo(folder / "step_0001.npz")),
         "a step missing": lambda folder: (folder / "step_0001.npz").unlink()},
     "step_0002.npz": {"an empty step": _cut("step_0002.npz", 0.0)},
     "step_0003.npz": {"a step too many": _copied("step_0002.npz", "step_0003.npz")},
@@ -90,6 +92,9 @@ _PATHS = {
         "no head": lambda folder: (folder / "path.json").unlink(), "half a head": _cut("path.json"),
         "bad UTF-8": _written("path.json", b"\xff\xfe{}"), "deep": _written("path.json", b"[" * 10**5),
         "a head that is a folder": lambda folder: ((folder / "path.json").unlink(), (folder / "path.json").mkdir()),
+        "a head that is a pipe": lambda folder: ((folder / "path.json").unlink(), os.mkfifo(folder / "path.json")),
+        "a head without end": lambda folder: ((folder / "path.json").unlink(),
+                                              (folder / "path.json").symlink_to("/dev/zero")),
         "other factors": _head(factors={"left": [0.5, 1.0, 0.1]}), "fewer steps": _head(steps=2),
         "many steps": _head(steps=10**30), "steps of text": _head(steps="3"), "no factors": _head(factors="gone"),
         "another key": _head(key="0"), "another fingerprint": _head(fingerprint={"problem": "theirs"}),
@@ -103,6 +108,8 @@ def _paths():
         for name, change in changes.items():
             yield Hostile(f"path: {name}", lambda c=change: (c(kept("store")), am.PathResult.load("store")), says,
                           ValueError, writes=True)
+    yield Hostile("loop: a head that is a pipe", lambda: (os.mkfifo("loop.json"), am.adapt(
+        am.cases.upset_block(), 1e-2, max_nodes=50, store=".")), "loop.json", ValueError, writes=True)
     yield Hostile("path: no folder", lambda: am.PathResult.load("nowhere"), "nowhere", ValueError)
     yield Hostile("path: a file", lambda: (Path("a-file").write_text(""), am.PathResult.load("a-file")), "a-file",
                   ValueError, writes=True)

@@ -235,6 +235,11 @@ class TestStore:
         np.testing.assert_allclose(loaded[3].probe([(0.01, 0.0)]), cycle[3].probe([(0.01, 0.0)]))
         with pytest.raises(ValueError, match="holds a load path already"):
             cycle.save(tmp_path / "a")
+        (tmp_path / "b").mkdir()
+        (tmp_path / "b" / "step_0001.npz").write_bytes(b"mine")
+        with pytest.raises(ValueError, match="holds a load path already"):
+            cycle.save(tmp_path / "b")
+        assert (tmp_path / "b" / "step_0001.npz").read_bytes() == b"mine"
         with pytest.raises(ValueError, match="was written by save"):
             am.solve_path(rough, CYCLE, FINE, store=tmp_path / "a")
 

@@ -13,7 +13,8 @@ from made import cube, result_on, same, square
 import adaptmg as am
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.load_path import StepNotConverged
-from adaptmg.solver.result_file import read_result, write_result
+from adaptmg.solver.result import KINDS
+from adaptmg.solver.store import packed, read
 
 cloudpickle = pytest.importorskip("cloudpickle")
 
@@ -37,11 +38,10 @@ def test_numbers_of_numpy_become_plain_ones(tmp_path):
     given = replace(plain, cycles=np.int32(11), work_units=np.float32(47), residual=np.array(1e-9),
                     timings=MappingProxyType({"setup": np.float64(0.01), np.str_("cycles"): np.float64(0.2)}),
                     path=[(np.int64(level), np.str_(action), np.int8(times)) for level, action, times in plain.path],
-                    levels=[{name: np.float64(v) for name, v in row.items()} for row in plain.levels],
-                    history={name: list(v) for name, v in plain.history.items()} | {"cycle": np.arange(12)})
+                    levels=[{name: np.float64(v) for name, v in row.items()} for row in plain.levels])
     found = moved(given, tmp_path)
     assert type(found.cycles) is int and found.levels == plain.levels
-    assert same(found.history, plain.history | {"cycle": np.arange(12)}) and found.path == plain.path
+    assert found.timings == plain.timings and found.path == plain.path
 
 
 def test_what_did_not_converge_may_hold_what_is_not_finite(tmp_path):
@@ -78,9 +78,13 @@ def count(n):
 
 def test_a_part_of_a_path_is_a_result_too(tmp_path):
     result = result_on(square(2))
-    write_result(tmp_path / "s.npz", result, {"step": 3, "key": "k"})
+    more = {"a.b": np.arange(3), "a": {"b": np.ones(2)}, "c/d": (result.displacement, [result.mesh, result])}
+    (tmp_path / "s.npz").write_bytes(packed(result, KINDS, more, {"step": 3, "key": "k"}))
     assert same(am.Result.load(tmp_path / "s.npz"), result)
-    assert read_result(tmp_path / "s.npz")[1] == {"step": 3, "key": "k"}
+    back = read(tmp_path / "s.npz", KINDS, more=True)
+    assert back.part_of == {"step": 3, "key": "k"} and same(back.more, more)
+    # what occurs twice is one object again
+    assert back.more["c/d"][1][1] is back.value and back.more["c/d"][1][0] is back.value.mesh
 
 
 def test_the_largest_of_files_is_not_taken_for_a_bomb(tmp_path):

@@ -204,9 +204,11 @@ def test_a_kept_file_that_is_missing_or_damaged_is_named_and_made_again(tmp_path
             file.write_bytes(damage)
             with pytest.raises(ValueError, match=rf"{re.escape(str(file))} is damaged.*rerun=True"):
                 study.load(0, name)
-        study.run(progress=False, rerun=True)
+        table = study.run(progress=False, rerun=True)
         assert study.load(0, name) is not None
-    file.unlink()
+        # a file that was changed stays
+        assert file.read_bytes() == damage
+    (tmp_path / "s.sqlite.files" / table["f"][0]).unlink()
     with pytest.raises(FileNotFoundError, match=r"rerun=True"):
         study.load(0)
 
@@ -223,6 +225,10 @@ def test_kept_files_are_whole_and_the_same_each_time(tmp_path, monkeypatch):
     with pytest.raises(OSError, match=r"s\.sqlite\.files: .*in the way"):
         folder.write("s", "{}", {"a": kept_files.Packed(".txt", b"x")})
     (tmp_path / "s.sqlite.files").unlink()
+    large = am.MeshArrays(np.zeros((10**7, 2)), np.zeros((1, 3), int), np.zeros((1, 2), int), [0], ["a"])
+    written = folder.write("s", "{}", {"a": pack(large)})
+    with pytest.raises(ValueError, match="would unpack to"):
+        folder.read(written["a"])
 
     def dies(target, content):
         raise KeyboardInterrupt
@@ -230,7 +236,7 @@ def test_kept_files_are_whole_and_the_same_each_time(tmp_path, monkeypatch):
     monkeypatch.setattr(kept_files, "write_bytes", dies)
     with pytest.raises(KeyboardInterrupt):
         folder.write("s", "{}", {"a": kept_files.Packed(".txt", b"x")})
-    assert not [path for path in folder.path.rglob("*") if path.is_file()]
+    assert [path for path in folder.path.rglob("*") if path.is_file()] == [folder.path / written["a"]]
 
 
 @pytest.mark.parametrize("kind", ["..", "absolute", "link", "linked folder", "pipe"])
