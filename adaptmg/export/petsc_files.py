@@ -16,10 +16,12 @@ from the ``.info`` file next to it.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +29,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._files import waiting_folder, write_bytes
+from adaptmg._files import read_bytes, waiting_folder, write_bytes
 from adaptmg._text import printable
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
@@ -84,6 +86,7 @@ def petsc(problem: Hierarchy | DiscreteProblem, directory: str | os.PathLike[str
                 # without blocks too: PETSc applies a block size that it read for one file to those read later
                 info = f"-{part.kind.lower()}load_block_size {part.block}\n"
                 write_bytes(new / f"{part.name}.petsc.info", info.encode())
+        manifest["hash"] = _hash(manifest, new)
         write_bytes(new / _MANIFEST, json.dumps(manifest, indent=1, ensure_ascii=False).encode())
         if target.exists():
             os.replace(target, waiting / "old")
@@ -99,15 +102,22 @@ def _check_target(target: Path) -> None:
         return
     if not target.is_dir():
         raise NotADirectoryError(f"directory must be a folder, but {str(target)!r} is a file")
-    try:
-        manifest = json.loads((target / _MANIFEST).read_text(encoding="utf-8"))
-        files = [entry["file"] for entry in manifest["files"]] if manifest["format"].startswith(_FORMAT[:17]) else []
-        written = {*files, *(f"{name}.info" for name in files), _MANIFEST}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        written = set()
-    foreign = sorted({entry.name for entry in target.iterdir()} - written)
-    if foreign:
-        raise FileExistsError(f"directory {str(target)!r} holds other files, {foreign[0]!r} for one: give a new folder")
+    if any(target.iterdir()):
+        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+            manifest = json.loads(read_bytes(target / _MANIFEST, 2**24))
+            if manifest.pop("hash") == _hash(manifest, target):
+                return
+        raise FileExistsError(f"directory {str(target)!r} holds other files than an unchanged older export: give a new "
+                              "folder")
+
+
+def _hash(manifest: dict[str, object], folder: Path) -> str:
+    """The hash of a manifest and all other files in its folder; OSError or ValueError where one is not regular."""
+    content = hashlib.sha256(json.dumps(manifest, sort_keys=True).encode())
+    for file in sorted(folder.iterdir()):
+        if file.name != _MANIFEST:
+            content.update(f"{file.name} {hashlib.sha256(read_bytes(file)).hexdigest()} ".encode())
+    return content.hexdigest()
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._files import make_folder, waiting_folder, write_bytes
+from adaptmg._files import is_stamped, make_folder, stamped, waiting_folder, write_bytes
 from adaptmg._text import printable
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.solver.result import Result
@@ -63,7 +63,8 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         With meshes, one a step.
     path : path
         The ``.pvd`` file, which is returned. Its folder is made where it is missing. The steps lie next to it
-        (``run_0000.vtu``, ...). It is written last, so that all it lists is there.
+        (``run_0000.vtu``, ...), in place of those of an older series, but of no other files. It is written last, so
+        that all it lists is there.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ...
 
@@ -90,6 +91,10 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         if stat.S_ISDIR(target.stat().st_mode):
             raise IsADirectoryError(f"path must be a .pvd file, but {str(target)!r} is a folder")
     names = [f"{target.stem}_{k:04d}.vtu" for k in range(len(results))]
+    for name in names:
+        if os.path.lexists(target.parent / name) and not is_stamped(target.parent / name):
+            raise FileExistsError(f"path: {str(target.parent / name)!r} is not an unchanged file of adaptmg.export: "
+                                  "move it, or give another name")
     make_folder("path", target.parent)
     with waiting_folder(target.parent) as waiting:
         for name, result in zip(names, results, strict=True):
@@ -145,7 +150,7 @@ def _document(result: Result) -> bytes:
         if tag == "FieldData":
             head.append(f'<Piece NumberOfPoints="{mesh.n_nodes}" NumberOfCells="{len(elements)}">')
     head += ["</Piece>", "</UnstructuredGrid>", '<AppendedData encoding="raw">', "_"]
-    return "\n".join(head).encode() + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n"
+    return stamped("\n".join(head).encode() + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n")
 
 
 def _field_data(result: Result) -> dict[str, np.ndarray]:

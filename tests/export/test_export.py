@@ -104,6 +104,16 @@ def test_a_series_lists_every_step_and_replaces_an_older_one(tmp_path):
     assert {p.name for p in pvd.parent.iterdir()} == {"run.pvd", *(f"run_000{k}.vtu" for k in range(3))}
 
 
+def test_a_series_replaces_no_file_that_is_not_of_an_older_one(tmp_path):
+    vtk_series(_steps(2), tmp_path / "run.pvd")
+    step = tmp_path / "run_0001.vtu"
+    for content in (b"mine", step.read_bytes().replace(b"displacement", b"displaced")):
+        step.write_bytes(content)
+        with pytest.raises(FileExistsError, match=r"run_0001\.vtu"):
+            vtk_series(_steps(2), tmp_path / "run.pvd")
+        assert step.read_bytes() == content
+
+
 def test_a_series_is_written_whole_or_not_at_all(tmp_path):
     vtk_series(_steps(1), tmp_path / "old.pvd")
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}

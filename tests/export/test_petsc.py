@@ -164,9 +164,15 @@ def test_an_older_export_is_replaced_and_anything_else_is_left(tmp_path, bar):
     assert not list(target.glob("level1*")) and len(list(tmp_path.iterdir())) == 1
     (target / "mine.txt").write_text("kept")
     before = {path.name: path.read_bytes() for path in target.iterdir()}
-    with pytest.raises(FileExistsError, match=r"holds other files, 'mine.txt' for one"):
+    with pytest.raises(FileExistsError, match="holds other files than an unchanged older export"):
         am.export.petsc(bar, target)
     assert {path.name: path.read_bytes() for path in target.iterdir()} == before
+    (target / "mine.txt").unlink()
+    changed = target / "level0_load.petsc"
+    changed.write_bytes(changed.read_bytes() + b"mine")
+    with pytest.raises(FileExistsError):
+        am.export.petsc(bar, target)
+    assert changed.read_bytes().endswith(b"mine")
     (tmp_path / "empty").mkdir()
     am.export.petsc(bare, tmp_path / "empty")
     (tmp_path / "damaged").mkdir()
