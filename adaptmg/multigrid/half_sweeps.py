@@ -181,22 +181,3 @@ def add_prolonged(first, last, zero, indptr, indices, weights, coarse, u):
         i = np.uint64(node)
         at = np.uint64(len(zero)) * i
         write(u, at, add(read(u, at, zero), _plus_prolonged(i, indptr, indices, weights, coarse, zero)))
-
-
-@kernel
-def combine(begin, end, zero, indptr, indices, weights, coarse, ring, places, alpha, to, beyond):
-    """v = u + sum of alpha_k (u_k - u), u and four u_k at ``places`` of ``ring``, written to place ``to``, and
-    v + P coarse, to place ``beyond``."""
-    now, first, second = np.uint64(places[0]), np.uint64(places[1]), np.uint64(places[2])
-    third, fourth = np.uint64(places[3]), np.uint64(places[4])
-    place, target = np.uint64(to), np.uint64(beyond)
-    for node in range(begin, end):
-        i = np.uint64(node)
-        at = np.uint64(len(zero)) * i
-        u = read(ring, now + at, zero)
-        e = scale(alpha[0], subtract(read(ring, first + at, zero), u))
-        e = add(e, scale(alpha[1], subtract(read(ring, second + at, zero), u)))
-        e = add(e, scale(alpha[2], subtract(read(ring, third + at, zero), u)))
-        v = add(u, add(e, scale(alpha[3], subtract(read(ring, fourth + at, zero), u))))
-        write(ring, place + at, v)
-        write(ring, target + at, _plus_prolonged(i, indptr, indices, weights, coarse, v))

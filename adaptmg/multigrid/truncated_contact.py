@@ -129,11 +129,15 @@ class TruncatedContact:
         self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
         return cut
 
-    def admits(self, ring: np.ndarray, places: np.ndarray, alpha: np.ndarray) -> bool:
-        """Whether the recombination closes open nodes or reverses slips at few nodes, which the projection cuts."""
-        cut = count_cut(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference,
-                        self.values, ring, places, alpha)
-        return cut <= 1 + self.FEW * len(self.nodes)
+    def admits(self, unknowns: np.ndarray) -> bool:
+        """Whether a recombined iterate closes open nodes or reverses slips at few nodes, which the projection cuts."""
+        local = np.einsum("nij,nj->ni", self.frames.reshape(-1, self.dim, self.dim),
+                          unknowns.reshape(-1, self.dim)[self.nodes])
+        reference = self.reference.reshape(-1, self.dim - 1)
+        turned = np.einsum("ni,ni->n", self.values.reshape(local.shape)[:, 1:] - reference, local[:, 1:] - reference)
+        cut = (self.codes & CLOSED == 0) & (local[:, 0] > self.gap)
+        cut |= (self.codes & TANGENTIAL >= SLIPS) & (turned <= 0.0)
+        return bool(cut.sum() <= 1 + self.FEW * len(self.nodes))
 
     def friction_slope(self, before: np.ndarray, alpha: float) -> float:
         """The slope of sum g |slip| at alpha minus that at 0 along the step from local unknowns ``before``."""
@@ -287,34 +291,6 @@ def project(dim, codes, nodes, frames, gap, reference, values, u, local):
                 total += frames[(dim * k + a) * dim + b] * local[a]
             u[at + b] = total
     return cut
-
-
-@kernel
-def count_cut(dim, codes, nodes, frames, gap, reference, values, ring, places, alpha):
-    """At how many nodes u + sum of alpha_k (u_k - u), from ``places`` of ``ring``, closes or reverses a slip."""
-    m = dim - 1
-    count = 0
-    for k in range(len(nodes)):
-        at = dim * np.int64(nodes[k])
-        tangential = codes[k] & TANGENTIAL
-        product = 0.0
-        closes = False
-        for a in range(dim):
-            change = 0.0
-            for b in range(dim):
-                old, moved = ring[places[0] + at + b], 0.0
-                for c in range(len(alpha)):
-                    moved += alpha[c] * (ring[places[c + 1] + at + b] - old)
-                change += frames[(dim * k + a) * dim + b] * moved
-            moved = values[dim * k + a] + change
-            if a == 0:
-                closes = not codes[k] & CLOSED and moved > gap[k]
-            else:
-                ref = reference[m * k + a - 1]
-                product += (values[dim * k + a] - ref) * (moved - ref)
-        if closes or (tangential >= SLIPS and product <= 0.0):
-            count += 1
-    return count
 
 
 @kernel

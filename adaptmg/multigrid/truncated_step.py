@@ -20,10 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg._numba import kernel
 from adaptmg._threads import in_parts, sum_of_parts
 from adaptmg.multigrid import projected_sweeps
-from adaptmg.multigrid.half_sweeps import combine, dot, product_of_change, shorten, stiff_squares, zero_at
+from adaptmg.multigrid.half_sweeps import dot, product_of_change, shorten, stiff_squares, zero_at
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
@@ -53,9 +52,7 @@ class TruncatedStep:
         self.cycle, self.number, self.contact, self.load = cycle, number, contact, load
         self.level, self.below = cycle.levels[number], cycle.levels[number - 1]
         self.truncation = Truncation(cycle.levels[:number + 1], cycle.prolongations[:number], contact)
-        self.recombination = Recombination(self.below.dim, self.below.n_dofs, depth)
-        self._transfer = cycle.transfer(number)
-        self.motions, self._iterates = motions, Ring(len(unknowns), depth)
+        self.motions, self.depth = motions, depth
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
         self._frozen = False
         self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
@@ -73,7 +70,7 @@ class TruncatedStep:
         for k in range(self._interface_sweeps):
             self._interface_sweep(self.interface.backward if k % 2 == 0 else self.interface.forward)
         if self.motions is not None:
-            self.motions.settle(self.unknowns, self._iterates.past, self.residual)
+            self.motions.settle(self.unknowns, [unknowns for unknowns, _ in self._past], self.residual)
 
     def linearise(self, safe: bool, trusted: float = np.inf) -> StepState:
         """Update the contact status, truncate the residual and, where the status has changed, the coarse matrices.
@@ -81,28 +78,33 @@ class TruncatedStep:
         same."""
         status = self.contact.update_status(self.residual)
         at_contact = self.contact.truncate(self.residual)
-        elsewhere = max(self._restrict() - at_contact, 0.0)
+        self._restricted = np.empty(self.below.n_dofs)
+        elsewhere = max(self.cycle.restrict(self.number, self.residual, self._restricted) - at_contact, 0.0)
         residual = float(np.sqrt(elsewhere + status.natural))
         frozen = safe or residual > trusted
         if status.changed or frozen != self._frozen:
             self.contact.linearise_friction()
             self.truncation.apply(newton=not frozen)
             self.cycle.renew(self.number)
-            self.recombination.restart()
+            self._past.clear()
             self._frozen = frozen
         return StepState(status.changed, residual, float(np.sqrt(status.reactions)))
 
     def correct(self) -> float:
         """Correct, project and search; returns the energy of the coarse correction, N m. It estimates the energy of the
         error that the correction removes."""
-        self._iterates.complete()
-        proposed, energy = self._coarse_correction()
-        before = self.contact.values.copy()
+        combined, load = self._recombined()
+        # past iterates make up for what a cheaper cycle leaves
+        correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
+        energy, proposed, before = _product(load, correction), combined.copy(), self.contact.values.copy()
+        self.cycle.add_prolonged(self.number, correction, proposed)
+        zero_at(proposed, self.level.fixed)
         self.contact.project(proposed)
         if self._frozen:
             self._search(proposed, before)
-        self._iterates.advance()
-        self.recombination.advance()
+        smoothed = [] if combined is self._unknowns else [(self._unknowns, self._restricted)]
+        self._past = [(combined, load), *smoothed, *self._past][:self.depth]
+        self._unknowns, self._corrected, self.smoothed = proposed, True, combined
         self.cycle.recorder.visit(self.number, "prolong")
         return energy
 
@@ -110,23 +112,18 @@ class TruncatedStep:
         """Free what only further steps read, if it is much: half of the matrix, which is made again from the whole one,
         and past iterates, without which recombination starts again."""
         if self.level.set_aside(matrix, fixed):
-            self._iterates.forget()
-            self.recombination.restart()
+            self._past.clear()
 
     @property
     def unknowns(self) -> np.ndarray:
         """The present iterate (n_dofs,)."""
-        return self._iterates.now
+        return self._unknowns
 
     @unknowns.setter
     def unknowns(self, values: np.ndarray) -> None:
-        self._iterates.now[:] = values
-        self._corrected = False
-
-    @property
-    def smoothed(self) -> np.ndarray:
-        """The iterate that the last :meth:`correct` started from (n_dofs,)."""
-        return self._iterates.past[0]
+        self._unknowns, self._corrected = values, False
+        #: iterates and their restricted residuals, newest first, in turns a recombined one and the one it was made from
+        self._past: list[tuple[np.ndarray, np.ndarray]] = []
 
     def _projected_sweeps(self) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
@@ -145,33 +142,22 @@ class TruncatedStep:
                                *c.node_data, self.unknowns, self.residual)
         self.cycle.recorder.count(1.0, self.interface.nonzeros)
 
-    def _restrict(self) -> float:
-        """Restrict the truncated residual for the recombination; returns its sum of squares."""
-        return self.cycle.restrict(self.number, self.residual, self.recombination.residuals.now)
-
-    def _recombine(self, places: np.ndarray) -> np.ndarray:
-        """Weights of the past iterates; makes the recombined residual."""
-        alpha = self.recombination.fit(self.below.inverse)
-        if alpha.any() and not self.contact.admits(self._iterates.flat, places, alpha):
-            alpha[:] = 0.0
-        self.recombination.combine(alpha)
-        return alpha
-
-    def _coarse_correction(self) -> tuple[np.ndarray, float]:
-        """The recombined iterate plus the coarse correction (in place of the oldest), and the energy of that."""
-        ring, load = self._iterates, self.recombination.residuals.combined
-        places = ring.places(self.recombination.past)
-        alpha = self._recombine(places)
-        # past iterates make up for what a cheaper cycle leaves
-        correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
-        self._corrected = True
-        energy = _product(load, correction)
-        n = self.level.n_dofs
-        in_parts(combine, len(self._transfer[1]) - 1, 6 * n, *self._transfer, correction, ring.flat, places, alpha,
-                 *ring.targets)
-        proposed = ring.past[-1]
-        zero_at(proposed, self.level.fixed)
-        return proposed, energy
+    def _recombined(self) -> tuple[np.ndarray, np.ndarray]:
+        r"""The iterate and its restricted residual, recombined with the last ones: the weights of
+        :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
+        the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays, the residual is
+        affine in u (3D: nearly). With recombined iterates alone, few are as good as all of them where the problem is
+        symmetric; the others keep what Coulomb's law needs."""
+        unknowns, load = self._unknowns, self._restricted
+        if self._past:
+            dim, (iterates, residuals) = self.below.dim, zip(*self._past, strict=True)
+            d = self.below.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
+            changes = np.array(residuals) - load
+            alpha = least_weights(load, changes, d)
+            combined = unknowns + alpha @ (np.array(iterates) - unknowns)
+            if self.contact.admits(combined):
+                return combined, load + alpha @ changes
+        return unknowns, load
 
     def _search(self, proposed: np.ndarray, before: np.ndarray) -> None:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
@@ -222,168 +208,14 @@ def _product(a: np.ndarray, b: np.ndarray) -> float:
     return float(sum_of_parts(dot, len(a), 2 * len(a), a, b))
 
 
-class Ring:
-    """The last vectors (n,) of a sequence in one array, newest first: the present one, then in turns a recombined one
-    and the one that it was made from. Two more take the places of the oldest.
-
-    With recombined vectors alone, few are as good as all of them where the problem is symmetric; the others keep what
-    Coulomb's law needs.
-    """
-
-    #: past vectors at most
-    MOST = 4
-
-    def __init__(self, n: int, depth: int) -> None:
-        self._rows = max(depth, 2) + 1
-        self._take(np.zeros((self._rows, n)))
-
-    def _take(self, vectors: np.ndarray) -> None:
-        self.vectors, self.flat, self._order = vectors, vectors.reshape(-1), list(range(len(vectors)))
-
-    def forget(self) -> None:
-        """Free all vectors but the present one, until :meth:`complete`."""
-        self._take(self.now[None].copy())
-
-    def complete(self) -> None:
-        if len(self.vectors) < self._rows:
-            now = self.now
-            self._take(np.zeros((self._rows, len(now))))
-            self.now[:] = now
-
-    @property
-    def now(self) -> np.ndarray:
-        return self.vectors[self._order[0]]
-
-    @property
-    def past(self) -> list[np.ndarray]:
-        return [self.vectors[k] for k in self._order[1:]]
-
-    @property
-    def combined(self) -> np.ndarray:
-        """Where the present vector, recombined, goes."""
-        return self.vectors[self._order[-2]]
-
-    def places(self, past: int) -> np.ndarray:
-        """Where in ``flat`` the present vector begins and the MOST before it; beyond ``past`` the present one."""
-        rows = [self._order[k if k <= past else 0] for k in range(self.MOST + 1)]
-        return np.array(rows, dtype=np.int64) * self.vectors.shape[1]
-
-    @property
-    def targets(self) -> tuple[int, int]:
-        """The places of :attr:`combined` and of the next vector."""
-        n = self.vectors.shape[1]
-        return self._order[-2] * n, self._order[-1] * n
-
-    def advance(self) -> None:
-        *kept, combined, following = self._order
-        self._order = [following, combined, *kept]
-
-
-class Recombination:
-    r"""The last restricted truncated residuals of one level, and the weights of the last iterates. The weights of
-    :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d the
-    diagonal of the coarse matrix (Anderson acceleration). While the contact status stays, the residual is affine in u
-    (3D: nearly)."""
-
-    def __init__(self, dim: int, n_dofs: int, depth: int) -> None:
-        self.dim, self.depth, self._past = dim, depth, 0
-        self.residuals, self._alpha = Ring(n_dofs, depth), np.zeros(Ring.MOST)
-        self._matrix = np.zeros((Ring.MOST, Ring.MOST))
-
-    @property
-    def past(self) -> int:
-        """The number of iterates that can be recombined with the present one."""
-        return min(self._past, self.depth)
-
-    def restart(self) -> None:
-        self._past = 0
-
-    def fit(self, inverse: np.ndarray) -> np.ndarray:
-        """The weights (MOST,), from the inverse diagonal blocks of the next coarser level."""
-        self._alpha[:] = 0.0
-        if self.past:
-            ring = self.residuals
-            n = len(self.residuals.now)
-            # it computes more than it reads
-            sums = sum_of_parts(_sums, n // self.dim, 20 * n, self.dim, inverse, ring.flat, ring.places(self.past))
-            _fit(np.asarray(sums), self._matrix, self._alpha)
-        return self._alpha
-
-    def combine(self, alpha: np.ndarray) -> None:
-        ring, n = self.residuals, len(self.residuals.now)
-        in_parts(_combined, n, 6 * n, ring.flat, ring.places(self.past), alpha, ring.combined)
-
-    def advance(self) -> None:
-        self.residuals.advance()
-        self._past += 2
-
-
-#: the normal equations count as singular below this pivot, relative to the diagonal
+#: residuals count as dependent below this singular value of their scaled products
 _SINGULAR = 1e-10
 
 
-@kernel
-def _sums(begin, end, dim, inverse, ring, places):
-    """What the normal equations of the weighted least squares problem sum over these nodes."""
-    now, first, second, third, fourth = places
-    a_11, a_12, a_13, a_14, a_22, a_23, a_24, a_33, a_34, a_44 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    b_1, b_2, b_3, b_4 = 0.0, 0.0, 0.0, 0.0
-    for i in range(begin, end):
-        for c in range(dim):
-            at = dim * i + c
-            weight, r = inverse[at * dim + c], ring[now + at]
-            d_1, d_2 = ring[first + at] - r, ring[second + at] - r
-            d_3, d_4 = ring[third + at] - r, ring[fourth + at] - r
-            w_1, w_2, w_3, w_4 = weight * d_1, weight * d_2, weight * d_3, weight * d_4
-            a_11 += w_1 * d_1
-            a_12 += w_1 * d_2
-            a_13 += w_1 * d_3
-            a_14 += w_1 * d_4
-            a_22 += w_2 * d_2
-            a_23 += w_2 * d_3
-            a_24 += w_2 * d_4
-            a_33 += w_3 * d_3
-            a_34 += w_3 * d_4
-            a_44 += w_4 * d_4
-            b_1 -= w_1 * r
-            b_2 -= w_2 * r
-            b_3 -= w_3 * r
-            b_4 -= w_4 * r
-    return a_11, a_12, a_13, a_14, a_22, a_23, a_24, a_33, a_34, a_44, b_1, b_2, b_3, b_4
-
-
-@kernel
-def _fit(sums, matrix, alpha):
-    """Solve the normal equations for the weights ``alpha`` (4,); 0 for residuals that depend on newer ones. ``matrix``
-    (4, 4) is overwritten."""
-    at = 0
-    for k in range(4):
-        for j in range(k, 4):
-            matrix[k, j] = matrix[j, k] = sums[at]
-            at += 1
-        alpha[k] = sums[10 + k]
-    at = 0  # of the diagonal
-    for k in range(4):
-        if not matrix[k, k] > _SINGULAR * sums[at]:
-            for j in range(4):
-                matrix[k, j] = matrix[j, k] = 0.0
-            matrix[k, k], alpha[k] = 1.0, 0.0
-        at += 4 - k
-        for j in range(k + 1, 4):
-            factor = matrix[j, k] / matrix[k, k]
-            alpha[j] -= factor * alpha[k]
-            for c in range(k, 4):
-                matrix[j, c] -= factor * matrix[k, c]
-    for k in range(3, -1, -1):
-        for j in range(k + 1, 4):
-            alpha[k] -= matrix[k, j] * alpha[j]
-        alpha[k] /= matrix[k, k]
-
-
-@kernel
-def _combined(begin, end, ring, places, alpha, result):
-    now, first, second, third, fourth = places
-    for at in range(begin, end):
-        r = ring[now + at]
-        result[at] = r + alpha[0] * (ring[first + at] - r) + alpha[1] * (ring[second + at] - r) + alpha[2] * (
-            ring[third + at] - r) + alpha[3] * (ring[fourth + at] - r)
+def least_weights(now: np.ndarray, changes: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """The alpha (k,) that minimise |now + alpha changes|, ``changes`` (k, n), weighted with ``d`` (n,)."""
+    weighted = changes * d
+    products = weighted @ changes.T
+    scale = np.sqrt(products.diagonal())
+    scale[scale == 0.0] = 1.0
+    return np.linalg.lstsq(products / np.outer(scale, scale), -(weighted @ now) / scale, rcond=_SINGULAR)[0] / scale

@@ -31,7 +31,7 @@ from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.multigrid.truncated_step import Ring, TruncatedStep
+from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.solver.active_set import coarsest_solution
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.factorisation import FACTORISED
@@ -229,8 +229,8 @@ class Truncated:
     coarse_smoother: LinearSmoother | None = None
 
     def __post_init__(self) -> None:
-        if checks.integer("recombine", self.recombine) > Ring.MOST:
-            raise ValueError(f"recombine must be 0 to {Ring.MOST}, got {self.recombine!r}")
+        if checks.integer("recombine", self.recombine) > 4:
+            raise ValueError(f"recombine must be 0 to 4, got {self.recombine!r}")
         if self.coarse_sweeps is not None and checks.integer("coarse_sweeps", self.coarse_sweeps, 1) > 2:
             raise ValueError(f"coarse_sweeps must be 1 or 2, got {self.coarse_sweeps!r}")
         checks.integer("interface_sweeps", self.interface_sweeps)

@@ -15,12 +15,12 @@ from adaptmg.multigrid import half_sweeps as kernels
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.split_matrix import split
-from adaptmg.multigrid.truncated_contact import TruncatedContact, count_cut
-from adaptmg.multigrid.truncated_step import Recombination, Ring
+from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncated_step import least_weights
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
-from adaptmg.smoother.system import BACKWARDS, CLOSED, SLIPS
+from adaptmg.smoother.system import CLOSED, SLIPS
 from adaptmg.transfer import galerkin_product, without_fixed
 
 COMPILED = ("adaptmg.multigrid.", "adaptmg.smoother.")
@@ -227,17 +227,7 @@ def test_transfers(dim):
     r, coarse = rng.normal(size=12 * dim), np.zeros(5 * dim)
     assert kernels.restrict(0, 12, ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
     np.testing.assert_allclose(coarse, Q.T @ r)
-    ring, alpha = Ring(12 * dim, 4), rng.normal(size=4)
-    ring.vectors[:] = rng.normal(size=(5, 12 * dim))
-    for _ in range(7):
-        u, places = ring.now.copy(), ring.places(3)
-        combined = u + sum(a * (v - u) for a, v in zip(alpha[:3], ring.past, strict=False))
-        kernels.combine(0, 12, ZERO[dim], P.indptr, P.indices, P.data, coarse, ring.flat, places, alpha,
-                        *ring.targets)
-        ring.advance()
-        np.testing.assert_allclose(ring.now, combined + Q @ coarse)
-        np.testing.assert_allclose(ring.past[0], combined)
-        np.testing.assert_array_equal(ring.past[1], u)
+    u = rng.normal(size=12 * dim)
     expected = u + Q @ coarse
     kernels.add_prolonged(0, 12, ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
     np.testing.assert_allclose(u, expected)
@@ -255,48 +245,32 @@ def test_singular_coarsest_matrices_are_shifted_and_others_not_whatever_their_un
         np.testing.assert_allclose(matrix @ result, rhs, atol=rtol)
 
 
-@pytest.mark.parametrize("alpha, cut", [(0.0, 0), (0.4, 0), (0.6, 1), (1.1, 2), (-1.0, 1)])
-def test_nodes_that_a_recombination_would_cut(alpha, cut):
-    # node 0 is open, 2 from the gap, and closes above alpha = 0.9; node 1 slips by 0.5 and turns above 0.5; the closed
-    # node 2 slips by -0.1 and turns below -0.1
-    nodes, n = np.arange(3, dtype=np.int32), 3
-    frames = np.tile(np.eye(2).reshape(-1), n)
-    u = np.array([-2.0, 0.0, 0.0, 0.5, 0.0, -0.1])
-    first = u + np.array([2.0 / 0.9, 0.0, 0.0, -1.0, 5.0, -1.0])
-    codes = np.array([0, CLOSED + SLIPS, CLOSED + BACKWARDS], dtype=np.int8)
-    places, weights = np.array([0, 6, 6, 0, 0]), np.array([3 * alpha, -2 * alpha, 1.0, 1.0])
-    ring = np.concatenate([u, first])
-    assert count_cut(2, codes, nodes, frames, np.zeros(n), np.zeros(n), u.copy(), ring, places, weights) == cut
-
-
 def test_weights_of_past_iterates_are_those_of_least_squares():
-    rng = np.random.default_rng(0)
-    recombination, inverse = Recombination(2, 40, 4), np.tile(np.diag([0.5, 2.0]).reshape(-1), 20)
-    recombination.residuals.vectors[:] = rng.normal(size=(5, 40))
-    for done in range(8):
-        now, past = recombination.residuals.now, recombination.residuals.past[:min(2 * done, 4)]
-        weight = np.sqrt(np.tile([0.5, 2.0], 20))
-        columns = np.column_stack([weight * (r - now) for r in past] or [np.zeros(40)])
-        expected = np.linalg.lstsq(columns, -weight * now)[0]
-        np.testing.assert_allclose(recombination.fit(inverse)[:columns.shape[1]], expected, rtol=1e-9)
-        recombination.advance()
-    # one that depends on others has no weight
-    recombination.residuals.past[2][:] = recombination.residuals.past[0]
-    assert recombination.fit(inverse)[2] == 0 and recombination.fit(inverse).any()
+    rng, d = np.random.default_rng(0), np.tile([0.5, 2.0], 20)
+    for k in range(1, 5):
+        changes, now = rng.normal(size=(k, 40)) * 1e-3 ** np.arange(k)[:, None], rng.normal(size=40)
+        expected = np.linalg.lstsq((np.sqrt(d) * changes).T, -np.sqrt(d) * now)[0]
+        alpha = least_weights(now, changes, d)
+        np.testing.assert_allclose(alpha, expected, rtol=1e-9)
+        # what depends on the others, whatever its size, changes nothing
+        again = least_weights(now, np.stack([*changes, 1e-9 * changes[0]]), d)
+        np.testing.assert_allclose(again[:k] @ changes + 1e-9 * again[k] * changes[0], alpha @ changes, rtol=1e-6)
 
 
-def test_one_node_is_cut_and_many_are_not():
-    grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Frictionless()), (4, 8))
-    problem = grids.finest.discrete
+def test_a_recombination_cuts_one_node_and_not_many():
+    """The gap is 1; slips of .5 at all nodes, of which the closed ones are at the gap."""
+    problem = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Tresca(1.0)), (4, 8)).finest.discrete
     problem = replace(problem, contact=replace(problem.contact, gaps=np.ones(len(problem.contact))))
-    contact = TruncatedContact.of(problem, split(problem.matrix, problem.fixed))
-    contact.codes[:] = 0
-    u = np.zeros(problem.n_dofs)
-    for moved, admitted in ((0, True), (1, True), (2, False), (9, False)):
-        other = u.copy()
-        other[2 * problem.contact.nodes[:moved] + 1] = -2.0
-        places = len(u) * np.array([0, 1, 0, 0, 0])
-        assert contact.admits(np.concatenate([u, other]), places, np.array([1.0, 0, 0, 0])) is admitted
+    contact, nodes = TruncatedContact.of(problem, split(problem.matrix, problem.fixed)), problem.contact.nodes
+    for closed, moved, number in itertools.product((False, True), ((-0.5, 0.0), (0.1, 1.1), (0.1, 0.9)), range(4)):
+        contact.codes[:] = SLIPS + CLOSED * closed
+        local = np.tile([1.0 if closed else 0.0, 0.5], (len(nodes), 1))
+        contact.values[:] = local.reshape(-1)
+        local[:number] = moved[1], moved[0]
+        u = np.zeros((problem.n_nodes, 2))
+        u[nodes] = np.einsum("nji,nj->ni", contact.frames.reshape(-1, 2, 2), local)
+        cut = number * (moved[0] < 0 or (moved[1] > 1 and not closed))
+        assert contact.admits(u.reshape(-1)) is (cut <= 1), (closed, moved, number)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
