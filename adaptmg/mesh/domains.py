@@ -52,7 +52,7 @@ def plane_measures(domain: Rectangle | Polygon | Outline) -> tuple[float, dict[s
     if isinstance(domain, Outline):
         area, lengths = domain.area, domain.lengths
     else:
-        start = np.array(domain.polygon.vertices)
+        start = np.array(domain.polygon.vertices) - domain.polygon.vertices[0]
         end = np.roll(start, -1, axis=0)
         area = 0.5 * float(np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1]))
         lengths = np.linalg.norm(end - start, axis=1).tolist()

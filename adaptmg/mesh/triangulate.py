@@ -14,13 +14,15 @@ check.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
 from adaptmg._numba import inner_kernel, kernel
+from adaptmg.geometry.predicates import turn
 from adaptmg.mesh.arrays import MeshArrays, trusted
-from adaptmg.mesh.improve import improved_triangles, replace_neighbour, swap_edge
+from adaptmg.mesh.improve import improved_triangles, opposite, replace_neighbour, swap_edge
 from adaptmg.mesh.netgen_plane import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
 from adaptmg.problem.plane_domains import Arc, Domain, Outline, Polygon, Rectangle
 
@@ -32,8 +34,10 @@ _INTERVALS, _CUTS = 8, 20
 _MAX_EDGE = 0.4
 # circumradius above which a triangle gets a node, over the size; least distance from that node to others
 _RADIUS, _APART = 0.8, 0.6
-# a node lies on an edge when it is this near to it, over the length of the edge
-_ON_EDGE = 1e-9
+# no node comes nearer to an edge of the boundary, over its length
+_BESIDE = 0.01
+# nodes after which kernels come back to Python, so that Ctrl-C ends them
+_BATCH = 50_000
 # size at a centroid, over that interpolated there, below which there is a dip
 _DIP = 0.6
 # circumradius, over that of the right size, up to which sizes are interpolated
@@ -56,6 +60,7 @@ def triangulated(domain: Plane, field: Callable[[np.ndarray], np.ndarray], growt
                                                                  boundaries=domain.boundaries)
     edges = [outline.edge(i) for i in range(len(outline.vertices))]
     field = _beside_short_edges(edges, outline.lengths, field)
+    middle, scale = 0.5 * (domain.lower + domain.upper), 2.0**math.frexp((domain.upper - domain.lower).max())[1]
     fractions = _spaced(domain, edges, outline.lengths, field, growth)
     for _ in range(_CUTS):
         places = np.concatenate([edge.at(t) for edge, t in zip(edges, fractions, strict=True)])
@@ -64,7 +69,8 @@ def triangulated(domain: Plane, field: Callable[[np.ndarray], np.ndarray], growt
         places[first] = outline.vertices
         following = np.arange(1, len(places) + 1)
         following[first + counts - 1] = first[outline.following]
-        elements, across, found = _of_boundary(places, following)
+        refuse_too_many(len(places), domain)
+        elements, across, found = _of_boundary((places - middle) / scale, following)
         if found.all():
             break
         for i, (begin, n) in enumerate(zip(first, counts, strict=True)):
@@ -72,8 +78,11 @@ def triangulated(domain: Plane, field: Callable[[np.ndarray], np.ndarray], growt
             fractions[i] = np.sort(np.append(t, 0.5 * (t + np.append(t[1:], 1.0))[~found[begin:begin + n]]))
     else:
         raise Untriangulated(f"edges of {domain!r} are missing")
-    points, elements = _filled(domain, places, elements, across, field, growth)
+    points, elements = _filled(domain, (places - middle) / scale, elements, across,
+                               lambda x: field(middle + scale * x) / scale, growth)
     points, elements = improved_triangles(points, elements, np.arange(len(points)) < len(places), _ROUNDS)
+    # the boundary bit for bit
+    points = np.concatenate([places, middle + scale * points[len(places):]])
     return _mesh(domain, points, elements, following, np.repeat(np.arange(len(edges)), counts))
 
 
@@ -131,7 +140,12 @@ def _of_boundary(places: np.ndarray, following: np.ndarray) -> tuple[np.ndarray,
     elements[:2] = [[n, n + 1, n + 2], [n, n + 2, n + 3]]
     across[0, 1], across[1, 2] = 1, 0
     found = np.zeros(n, dtype=bool)
-    count = _boundary(np.concatenate([places, corners]), elements, across, following, found)
+    points, count, e = np.concatenate([places, corners]), 2, 0
+    for begin in range(0, n, _BATCH):
+        count, e = _put(points, elements, across, begin, min(n, begin + _BATCH), count, e)
+        if e < 0:
+            raise Untriangulated(f"nodes at {places[begin:begin + 1]}")
+    count = _cut_out(elements, across, count, following, found)
     return elements[:count], across[:count], found
 
 
@@ -150,15 +164,22 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
             new = (elements[:n_elements] >= n_read).any(axis=1)
             dips = np.full(n_elements, np.inf)
             dips[new] = field(points[elements[:n_elements][new]].mean(axis=1))
-            _limit(points, elements[:n_elements], sizes, growth)
+            # sizes come from one node: a path of edges, at most through all nodes
+            for _ in range(n):
+                if not _limit(points, elements[:n_elements], sizes, growth):
+                    break
         points = np.concatenate([points[:n], np.empty((room, 2))])
         spare = np.empty((2 * room, 3), dtype=np.int32)
         elements, across = (np.concatenate([table[:n_elements], spare]) for table in (elements, across))
         settled = np.concatenate([settled[:n_elements], np.zeros(len(spare), dtype=bool)])
-        before = n
-        n, n_elements, cells = _fill(points, sizes, elements, across, n, n_elements, n_read, settled, dips)
-        n_read = before
+        cells = _look(points, sizes, elements[:n_elements], n_read, settled)
         refuse_too_many(NODES_PER_CELL[2] * cells, domain)
+        n_read = n
+        for most in range(n_read + _BATCH, len(points) + _BATCH, _BATCH):
+            most = min(most, len(points))
+            n, n_elements = _fill(points, sizes, elements, across, n, n_elements, most, n_read, settled, dips)
+            if n < most:
+                break
         if n == n_read:
             return points[:n], elements[:n_elements]
 
@@ -171,7 +192,7 @@ def _mesh(domain: Plane, points: np.ndarray, elements: np.ndarray, following: np
         names = tuple(dict.fromkeys(domain.boundaries))
         edge = np.array([names.index(name) for name in domain.boundaries])[edge]
     mesh = MeshArrays(points, elements, np.column_stack([np.arange(len(following)), following]), edge, names)
-    (x, y), (u, v) = points[:len(following)].T, points[following].T
+    (x, y), (u, v) = (points[:len(following)] - points[0]).T, (points[following] - points[0]).T
     area = 0.5 * float(np.sum(x * v - y * u))
     if not (mesh.volumes.min() > 0 and abs(mesh.volumes.sum() - area) <= 1e-9 * area):
         raise Untriangulated(f"triangles of {domain!r} are turned over")
@@ -179,16 +200,15 @@ def _mesh(domain: Plane, points: np.ndarray, elements: np.ndarray, following: np
 
 
 @inner_kernel
-def _walk(points, elements, across, e, x, y):
-    """The triangle that holds a place, on the straight way from triangle e; -1 if that leaves the mesh."""
+def _walk(points, elements, across, e, p):
+    """The triangle that holds node p, on the straight way from triangle e; -1 if that leaves the mesh. In a Delaunay
+    triangulation no triangle comes twice: the power of p with respect to their circles falls."""
     for _ in range(len(elements)):
         worst, side = 0.0, -1
         for k in range(3):
-            a, b = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-            cross = ((points[b, 0] - points[a, 0]) * (y - points[a, 1])
-                     - (points[b, 1] - points[a, 1]) * (x - points[a, 0]))
-            if cross < worst:
-                worst, side = cross, k
+            away = turn(points, elements[e, (k + 1) % 3], elements[e, (k + 2) % 3], p)
+            if away < worst:
+                worst, side = away, k
         if side < 0:
             return e
         if across[e, side] < 0:
@@ -205,33 +225,27 @@ def _place(elements, across, e, a, b, c, over_a, over_b, over_c):
 
 
 @inner_kernel
-def _insert(points, elements, across, n, e, p, stack, settled):
+def _insert(points, elements, across, n, e, p, settled):
     """Cut triangle e at the node p in it, or at an edge both triangles there, and swap edges; returns the number of
-    triangles. Nothing happens at an edge of the boundary. Triangles that change are no longer ``settled``."""
-    k, nearest = 0, np.inf
+    triangles. Nothing happens at a node or an edge of the boundary. Triangles that change are no longer ``settled``."""
+    k, on = 0, 0
     for j in range(3):
-        b, c = elements[e, (j + 1) % 3], elements[e, (j + 2) % 3]
-        x, y = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1]
-        away = (x * (points[p, 1] - points[b, 1]) - y * (points[p, 0] - points[b, 0])) / (x * x + y * y)
-        if away < nearest:
-            nearest, k = away, j
+        if turn(points, elements[e, (j + 1) % 3], elements[e, (j + 2) % 3], p) == 0.0:
+            k, on = j, on + 1
     a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
     over_a, over_b, over_c = across[e, k], across[e, (k + 1) % 3], across[e, (k + 2) % 3]
     m = n + 1
-    if nearest > _ON_EDGE:
+    if on == 0:
         _place(elements, across, e, p, a, b, over_c, n, m)
         _place(elements, across, n, p, b, c, over_a, m, e)
         _place(elements, across, m, p, c, a, over_b, e, n)
         replace_neighbour(across, over_a, e, n)
         replace_neighbour(across, over_b, e, m)
-        stack[0], stack[1], stack[2], depth = e, n, m, 3
     else:
         f = np.int64(over_a)
-        if f < 0:
+        if f < 0 or on > 1:
             return n
-        j = 0
-        while elements[f, j] == b or elements[f, j] == c:
-            j += 1
+        j = opposite(elements, f, b, c)
         d, beyond_c, beyond_b = elements[f, j], across[f, (j + 1) % 3], across[f, (j + 2) % 3]
         _place(elements, across, e, p, a, b, over_c, m, n)
         _place(elements, across, n, p, c, a, over_b, e, f)
@@ -239,30 +253,35 @@ def _insert(points, elements, across, n, e, p, stack, settled):
         _place(elements, across, m, p, b, d, beyond_c, f, e)
         replace_neighbour(across, over_b, e, n)
         replace_neighbour(across, beyond_c, f, m)
-        stack[0], stack[1], stack[2], stack[3], depth = e, n, f, m, 4
-    while depth > 0:
-        depth -= 1
-        e = stack[depth]
+    # around the node, which comes first in its triangles; ends as swaps do
+    first = e
+    while True:
         settled[e] = False
-        f = np.int64(across[e, 0])
-        # the new node comes first
-        if f >= 0 and depth + 2 <= len(stack) and swap_edge(points, elements, across, e, 0):
-            stack[depth], stack[depth + 1] = e, f
-            depth += 2
-    return m + 1
+        if across[e, 0] < 0 or not swap_edge(points, elements, across, e, 0):
+            e = np.int64(across[e, 1])
+            if e == first:
+                return m + 1
 
 
 @kernel
-def _boundary(points, elements, across, following, found):
-    """Put all nodes but the last four, which are corners of a box, into its two triangles, and drop those outside.
-    ``found`` becomes True where the edge to the following node is there. Returns how many triangles are left."""
-    n, count, e = len(following), np.int64(2), np.int64(0)
-    stack, settled = np.empty(256, dtype=np.int64), np.empty(len(elements), dtype=np.bool_)
-    for p in range(n):
-        e = _walk(points, elements, across, e, points[p, 0], points[p, 1])
-        if e < 0:
-            return 0
-        count = _insert(points, elements, across, count, e, p, stack, settled)
+def _put(points, elements, across, begin, end, count, e):
+    """Put nodes into the triangles, the way to the first from triangle e. Returns the number of triangles and the last
+    one; -1 where a node lies on another one."""
+    settled = np.empty(len(elements), dtype=np.bool_)
+    for p in range(begin, end):
+        e, before = _walk(points, elements, across, e, p), count
+        if e >= 0:
+            count = _insert(points, elements, across, count, e, p, settled)
+        if count == before:
+            return count, np.int64(-1)
+    return count, e
+
+
+@kernel
+def _cut_out(elements, across, count, following, found):
+    """Drop the triangles outside. ``found`` becomes True where the edge to the following node is there. Returns how
+    many triangles are left."""
+    n = len(following)
     # triangles to the left of edges of the boundary, and all that hang together with them
     number = np.full(count, -1, dtype=np.int32)
     queue, last = np.empty(count, dtype=np.int64), 0
@@ -278,14 +297,13 @@ def _boundary(points, elements, across, following, found):
     for i in range(n):
         if not found[i]:
             return 0
-    first = 0
-    while first < last:
-        for k in range(3):
+    for first in range(count):
+        # no triangle is put into the queue twice
+        for k in range(3 if first < last else 0):
             f = across[queue[first], k]
             if f >= 0 and number[f] < 0:
                 number[f], queue[last] = 0, f
                 last += 1
-        first += 1
     left = 0
     for e in range(count):
         if number[e] == 0:
@@ -302,19 +320,18 @@ def _boundary(points, elements, across, following, found):
 
 @kernel
 def _limit(points, elements, sizes, growth):
-    """Lower sizes until they grow by at most so much per distance along edges."""
-    falls = True
-    while falls:
-        falls = False
-        for e in range(len(elements)):
-            for k in range(3):
-                a, b = elements[e, k], elements[e, (k + 1) % 3]
-                if sizes[a] > sizes[b]:
-                    a, b = b, a
-                length = np.sqrt((points[a, 0] - points[b, 0])**2 + (points[a, 1] - points[b, 1])**2)
-                if sizes[b] > (1.0 + 1e-9) * (sizes[a] + growth * length):
-                    sizes[b] = sizes[a] + growth * length
-                    falls = True
+    """Lower sizes that grow by more than so much per distance along edges, once; returns whether there are any."""
+    falls = False
+    for e in range(len(elements)):
+        for k in range(3):
+            a, b = elements[e, k], elements[e, (k + 1) % 3]
+            if sizes[a] > sizes[b]:
+                a, b = b, a
+            length = np.sqrt((points[a, 0] - points[b, 0])**2 + (points[a, 1] - points[b, 1])**2)
+            if sizes[b] > (1.0 + 1e-9) * (sizes[a] + growth * length):
+                sizes[b] = sizes[a] + growth * length
+                falls = True
+    return falls
 
 
 @inner_kernel
@@ -342,19 +359,24 @@ def _next_place(points, elements, e, sizes, place):
 
 
 @inner_kernel
-def _is_free(points, elements, t, place, apart):
-    """Whether a place in triangle t is so far from its corners."""
+def _is_free(points, elements, across, t, p, apart):
+    """Whether node p in triangle t is so far from its corners, and not next to the boundary."""
+    x, y = points[p, 0], points[p, 1]
     for k in range(3):
-        a = elements[t, k]
-        if (points[a, 0] - place[0])**2 + (points[a, 1] - place[1])**2 < apart * apart:
+        a, b, c = elements[t, k], elements[t, (k + 1) % 3], elements[t, (k + 2) % 3]
+        if (points[a, 0] - x)**2 + (points[a, 1] - y)**2 < apart * apart:
             return False
+        if across[t, k] < 0:
+            square = (points[b, 0] - points[c, 0])**2 + (points[b, 1] - points[c, 1])**2
+            if turn(points, b, c, p) < _BESIDE * square:
+                return False
     return True
 
 
 @inner_kernel
-def _interpolated(points, elements, t, place, sizes):
-    """The size at a place in triangle t."""
-    x, y, total, here = place[0], place[1], 0.0, 0.0
+def _interpolated(points, elements, t, p, sizes):
+    """The size at node p in triangle t."""
+    x, y, total, here = points[p, 0], points[p, 1], 0.0, 0.0
     for k in range(3):
         a, b = elements[t, (k + 1) % 3], elements[t, (k + 2) % 3]
         weight = (points[a, 0] - x) * (points[b, 1] - y) - (points[a, 1] - y) * (points[b, 0] - x)
@@ -364,49 +386,56 @@ def _interpolated(points, elements, t, place, sizes):
 
 
 @kernel
-def _fill(points, sizes, elements, across, n, count, n_read, settled, dips):
-    """Put nodes into triangles that are too large until there are none, or no room. Sizes at nodes from ``n_read`` on
-    are new; ``settled`` triangles without these are left; ``dips`` are sizes at centroids. Returns the numbers of nodes
-    and triangles, and the integral of the power -2 of the size."""
-    stack, place = np.empty(256, dtype=np.int64), np.empty(2)
+def _look(points, sizes, elements, n_read, settled):
+    """Triangles with nodes from ``n_read`` on, whose sizes are new, are not ``settled``. Returns the integral of the
+    power -2 of the size."""
     cells = 0.0
-    for e in range(count):
+    for e in range(len(elements)):
         a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
         h = (sizes[a] + sizes[b] + sizes[c]) / 3.0
         cells += 0.5 * ((points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1])
                         - (points[b, 1] - points[a, 1]) * (points[c, 0] - points[a, 0])) / (h * h)
         if max(a, b, c) >= n_read:
             settled[e] = False
-    n_read, before = n, np.int64(-1)
-    while n > before and n < len(points):
-        before = n
-        e = np.int64(-1)
-        while e + 1 < count and n < len(points):
-            e += 1
+    return cells
+
+
+@kernel
+def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips):
+    """Put nodes into triangles that are not ``settled`` and too large until there are none, or ``most`` nodes. Sizes
+    at nodes from ``n_read`` on are interpolated; ``dips`` are sizes at centroids. Returns the numbers of nodes and
+    triangles."""
+    place, before = np.empty(2), np.int64(-1)
+    # each pass but the last adds nodes, and there are ``most``
+    while before < n < most:
+        before, e = n, np.int64(0)
+        # a step adds a node, settles a triangle, or goes on to the next one
+        while e < count and n < most:
             # after a node the same triangle, or what came in its place, is next
-            while not settled[e] and n < len(points):
-                settled[e] = True
-                a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
-                h = (sizes[a] + sizes[b] + sizes[c]) / 3.0
-                dip = e < len(dips) and dips[e] < _DIP * h
-                if dip:
-                    h = dips[e]
-                radius = _next_place(points, elements, e, sizes, place) / (_RADIUS * h)
-                # far from the right size what is interpolated is far from the field
-                if not radius > 1.0 or (radius > _COARSE and max(a, b, c) >= n_read):
-                    continue
-                t = e
-                if dip:
-                    for k in range(2):
-                        place[k] = (points[a, k] + points[b, k] + points[c, k]) / 3.0
-                    dips[e] = np.inf
-                else:
-                    t = _walk(points, elements, across, e, place[0], place[1])
-                if t >= 0 and _is_free(points, elements, t, place, _APART * h):
-                    points[n, 0], points[n, 1] = place[0], place[1]
-                    sizes[n] = h if dip else _interpolated(points, elements, t, place, sizes)
-                    more = _insert(points, elements, across, count, t, n, stack, settled)
-                    if more > count:
-                        n, count = n + 1, more
-                        settled[e] = False
-    return n, count, cells
+            if settled[e]:
+                e += 1
+                continue
+            settled[e] = True
+            a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
+            h = (sizes[a] + sizes[b] + sizes[c]) / 3.0
+            dip = e < len(dips) and dips[e] < _DIP * h
+            if dip:
+                h = dips[e]
+            radius = _next_place(points, elements, e, sizes, place) / (_RADIUS * h)
+            # far from the right size what is interpolated is far from the field
+            if not radius > 1.0 or (radius > _COARSE and max(a, b, c) >= n_read):
+                continue
+            t = e
+            for k in range(2):
+                points[n, k] = (points[a, k] + points[b, k] + points[c, k]) / 3.0 if dip else place[k]
+            if dip:
+                dips[e] = np.inf
+            else:
+                t = _walk(points, elements, across, e, n)
+            if t >= 0 and _is_free(points, elements, across, t, n, _APART * h):
+                sizes[n] = h if dip else _interpolated(points, elements, t, n, sizes)
+                more = _insert(points, elements, across, count, t, n, settled)
+                if more > count:
+                    n, count = n + 1, more
+                    settled[e] = False
+    return n, count

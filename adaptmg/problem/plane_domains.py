@@ -147,7 +147,7 @@ def _check_edges(domain: Polygon | Outline, least: int) -> None:
 
 def _area(vertices: tuple[tuple[float, float], ...], bulges: float = 0.0, hole: bool = False) -> float:
     """The signed area of a polygon whose edges bulge outwards by ``bulges``, m^2; negative for a hole."""
-    x, y = np.array(vertices).T
+    x, y = (np.array(vertices) - vertices[0]).T
     area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) + bulges
     if hole and not area < 0:
         raise ValueError(f"vertices of a hole must run clockwise around it, got a signed area of {area}")

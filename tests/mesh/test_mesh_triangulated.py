@@ -1,12 +1,15 @@
 """Plane domains triangulated without Netgen: sound, Delaunay, of the sizes asked for, whatever the outline."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
 from uncompiled import uncompile
 
 import adaptmg as am
+from adaptmg._numba import kernel
+from adaptmg.geometry import predicates
 from adaptmg.mesh import check_mesh, graded, grading, improve, quality, sized, triangulate
 from adaptmg.mesh.netgen_plane import equilateral_sizes
 from adaptmg.mesh.triangulate import Untriangulated, triangulated
@@ -19,6 +22,21 @@ def polygon(*vertices):
     return am.Polygon(vertices=vertices, boundaries=tuple("abcdefgh"[:len(vertices)]))
 
 
+def with_arc(edge, about, *vertices):
+    """A polygon one of whose edges is an arc, its centre put right between the ends."""
+    a, b, centre = (np.array(p) for p in (vertices[edge], vertices[edge + 1], about))
+    along = (b - a) / np.linalg.norm(b - a)
+    return am.Outline(vertices=vertices, boundaries=tuple("abcdefgh"[:len(vertices)]),
+                      arcs={edge: tuple(centre - ((centre - 0.5 * (a + b)) @ along) * along)})
+
+
+# nodes on slanted edges are in line up to rounding
+SLANTED = {
+    "triangle": polygon((.8, .3), (-.6, .5), (-.4, -.9)),
+    "quadrilateral": polygon((.7, .4), (-.8, .2), (-.7, -.1), (-.1, -.7)),
+    "pentagon with arc": with_arc(3, (-.54467, -1.07770), (.93529, .13639), (.43434, .68010), (-.72089, .27870),
+                                  (-.55938, -.36188), (-.10880, -.50969)),
+}
 DOMAINS = {
     "square": SQUARE,
     "angle": polygon((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)),
@@ -69,6 +87,54 @@ def test_sizes_follow_the_field(domain):
     assert 0.8 < mesh.n_nodes / expected < 1.5
 
 
+@pytest.mark.parametrize("domain", SLANTED.values(), ids=SLANTED)
+def test_slanted_outlines_are_meshed_wherever_they_lie(domain):
+    rng = np.random.default_rng()
+    for scale, offset in ((1.0, 0.0), (1.0, 0.0), *10.0 ** rng.uniform((-6, -1), (6, 5), (8, 2))):
+        turned = domain if offset == 0 else moved(domain, rng.uniform(0, 7), scale, offset * rng.normal(size=2))
+        for size in (0.2, 0.1, 0.05, 0.02):
+            mesh = graded(turned, size * scale)
+            check_mesh(replace(mesh, source=None), turned.boundaries)
+            assert quality(mesh).min_angle > 15
+            assert set(turned.vertices) <= set(map(tuple, mesh.points.tolist()))
+
+
+def moved(domain, angle, scale, offset):
+    """An outline turned, scaled, and moved by so many sizes."""
+    turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    vertices = [tuple(turn @ p + scale * offset) for p in domain.vertices]
+    if isinstance(domain, am.Polygon):
+        return replace(domain, vertices=vertices)
+    return with_arc(3, turn @ domain.arcs[3] + scale * offset, *vertices)
+
+
+@kernel(cache=False)
+def signs(points):
+    """Of both predicates."""
+    return np.sign(predicates.turn(points, 0, 1, 2)), np.sign(predicates.in_circle(points, 0, 1, 2, 3))
+
+
+def rational_signs(points):
+    """The same in rational numbers, from the usual determinants."""
+    x, y = ([Fraction(value) for value in column] for column in points.T.tolist())
+    rows = [(x[i] - x[3], y[i] - y[3], (x[i] - x[3])**2 + (y[i] - y[3])**2) for i in range(3)]
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    values = ((x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]),
+              a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
+    return tuple((value > 0) - (value < 0) for value in values)
+
+
+def test_predicates_are_exact():
+    rng = np.random.default_rng()
+    for _ in range(200):
+        a, b, centre = rng.normal(size=(3, 2)) * 10 ** rng.uniform(-3, 3)
+        angles = rng.uniform(0, 7, 4)
+        for points in (a + rng.random((4, 1)) * (b - a), rng.integers(-3, 4, (4, 2)) * 0.1,
+                       centre + np.column_stack([np.cos(angles), np.sin(angles)])):
+            places = points * 10.0 ** rng.integers(-8, 8)
+            assert signs(places) == rational_signs(places)
+
+
 def test_triangles_at_short_edges_are_not_flat():
     chamfered = polygon((0, 0), (1, 0), (1, 0.98), (0.98, 1), (0, 1))
     mesh = graded(chamfered, 0.2)
@@ -115,7 +181,7 @@ def test_netgen_meshes_what_triangulation_does_not(monkeypatch):
 def test_kernels_are_plain_python(monkeypatch):
     compiled = [graded(domain, 0.4, domain.boundaries[0], 4) for domain in (SQUARE, DOMAINS["narrow ring"])]
     dips = sized(SQUARE, am.mesh.SizeNear([(0.4, 0.4)], size=0.05), 0.3)
-    uncompile(monkeypatch, improve, triangulate)
+    uncompile(monkeypatch, improve, predicates, triangulate)
     for domain, mesh in zip((SQUARE, DOMAINS["narrow ring"]), compiled, strict=True):
         plain = graded(domain, 0.4, domain.boundaries[0], 4)
         assert (plain.elements == mesh.elements).all()
