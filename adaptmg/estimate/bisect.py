@@ -1,8 +1,7 @@
-"""Bisect: the next mesh of an adaptive loop by bisection of the marked elements, and coarsening where errors are small.
+"""Bisect: the next mesh of an adaptive loop by bisection of the marked elements.
 
 Each marked element is bisected, its neighbours as far as conformity asks; new nodes of curved boundaries are moved
-onto :attr:`ContactProblem.domain <adaptmg.ContactProblem>`. Elements that together hold less than a given part of the
-sum of squares may go back to the element they came from, never below the first mesh.
+onto :attr:`ContactProblem.domain <adaptmg.ContactProblem>`.
 
 Halving all edges leaves :math:`2^{-(2+d)}` of a square where the solution is smooth. Marked elements of which more than
 half of the mean square would be left, as at singularities, are halved twice, so that large steps lose nothing: measured
@@ -25,7 +24,6 @@ from adaptmg.estimate.estimate import Estimate
 from adaptmg.level import meshed_domain
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection import check_marked
-from adaptmg.mesh.bisection.coarsen import coarsened
 from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.soundness import check_mesh
@@ -55,10 +53,6 @@ class Bisect:
 
     Parameters
     ----------
-    coarsen : float or False
-        The elements with the smallest squares may become coarser; together they hold at most this part of the sum of
-        squares of the marked elements. Above 0 and below 1; .02 to .1 are sensible. Nothing is taken back where the
-        mesh would not grow. False: nothing becomes coarser, and meshes are nested (but for nodes moved onto curves).
     passes : int, optional
         How often a marked element is bisected, >= 1. By default until all its edges are halved, 4 triangles, at least
         8 tetrahedra, or halved twice where squares are large. With 1 meshes grow least, and the loop takes more steps.
@@ -71,16 +65,9 @@ class Bisect:
     0
     """
 
-    coarsen: float = False
     passes: int | None = None
 
     def __post_init__(self) -> None:
-        if self.coarsen is not False:
-            if self.coarsen is True:
-                raise TypeError("coarsen must be a part of the sum of squares or False, got True")
-            object.__setattr__(self, "coarsen", checks.positive("coarsen", self.coarsen))
-            if not self.coarsen < 1:
-                raise ValueError(f"coarsen must be below 1, got {self.coarsen!r}")
         if self.passes is not None:
             object.__setattr__(self, "passes", checks.integer("passes", self.passes, 1))
 
@@ -113,11 +100,6 @@ class Bisect:
         marked = marked & divisible(mesh)
         if not marked.any():
             return mesh
-        if self.coarsen is not False:
-            smaller = coarsened(mesh, _least(squares, self.coarsen * squares[marked].sum()) & ~marked, 1)
-            fine = self._within(smaller.mesh, squares[smaller.origin], marked[smaller.origin], limit)
-            if fine is not None and fine.n_nodes > mesh.n_nodes:
-                return onto_domain(problem.domain, fine, smaller.mesh.n_nodes)
         fine = self._within(mesh, squares, marked, limit)
         return mesh if fine is None else onto_domain(problem.domain, fine, mesh.n_nodes)
 
@@ -158,10 +140,3 @@ class Bisect:
             tried = count, added
             count = int(min(max(aim, fits + 1), most - 1))
         return best
-
-
-def _least(squares: np.ndarray, most: float) -> np.ndarray:
-    order = np.argsort(squares, kind="stable")
-    least = np.zeros(len(squares), dtype=bool)
-    least[order] = np.cumsum(squares[order]) <= most
-    return least

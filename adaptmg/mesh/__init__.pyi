@@ -1,6 +1,5 @@
 from .arrays import MeshArrays as MeshArrays
 from .bisection import bisect as bisect, refine_near as refine_near
-from .bisection.coarsen import coarsen as coarsen
 from .bisection.onto_domain import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized
 from .netgen_solid import solid_mesh as solid_mesh

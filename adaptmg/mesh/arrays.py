@@ -48,13 +48,11 @@ def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class Refinement:
     """The history of a bisected mesh, as frozen arrays. The corners of such a mesh's elements are in the order of
-    bisection: the edge between the first two is halved next. An element that was bisected is a row of the tree."""
+    bisection: the edge between the first two is halved next."""
 
     parents: np.ndarray  # (n_nodes, 2) int32: a new node is halfway between them
     marks: np.ndarray  # (n_elements,) int8: marked edges of tetrahedra; 0 of triangles
     generation: np.ndarray  # (n_elements,) int16: how many bisections lead to the element
-    forebear: np.ndarray  # (n_elements,) int32: row of the tree that each element comes from, -1: none
-    tree: np.ndarray  # (n_bisected, dim + 4) int32: corners, marks, forebear and new node of each bisected element
 
     def __post_init__(self) -> None:
         for one in fields(self):
@@ -105,7 +103,7 @@ class MeshArrays:
     sound : bool
         Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction.
     refinement : Refinement or None
-        The history of a bisected mesh, which further bisection and coarsening need. Pickled, but not saved in a result;
+        The history of a bisected mesh, which further bisection needs. Pickled, but not saved in a result;
         a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
     lattices : tuple of Lattice
         By which interpolation between structured meshes needs no search, one a body; empty for other meshes.

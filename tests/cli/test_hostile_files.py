@@ -96,7 +96,7 @@ def test_what_is_wrong_is_named(old, new, words):
     ('max_nodes = 9\nindicator = "goal"', "goal needs adapt.quantity"),
     ('max_nodes = 9\nindicator = "goal"\nquantity = "displacement"', "displacement needs adapt.points"),
     ('max_nodes = 9\nquantity = "opening"', "belongs to adapt.indicator goal"),
-    ("max_nodes = 9\ncoarsen = 0.1", "belongs to adapt.engine bisect")])
+    ("max_nodes = 9\npasses = 1", "belongs to adapt.engine bisect")])
 def test_a_wrong_adaptation_is_named(given, words):
     text = told(GOOD.replace(f"[hierarchy]\n{D}", f"[adapt]\n{given}").replace(P, ""))
     assert text.startswith("study.toml: ") and words in text, text

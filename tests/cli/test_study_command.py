@@ -311,14 +311,14 @@ def test_bisections_at_contact(first):
     ({"quantity": "mean-displacement", "boundary": "top", "component": "y", "engine": "bisect"},
      am.MeanDisplacement("top", "y")),
     ({"quantity": "opening", "engine": "bisect"}, am.Opening()),
-    ({"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3, "coarsen": 0.02}, None)])
+    ({"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3, "passes": 1}, None)])
 def test_settings_reach_the_adaptive_loop(adapt, wanted):
     given = {"case.case": "greco_bar", "adapt.max_nodes": 90, "adapt.start": 10e-3, "adapt.indicator": "goal",
              **{f"adapt.{key}": value for key, value in adapt.items()}}
     made = build.adaptation(given)
     assert made["indicator"] == (am.Recovery() if wanted is None else am.Goal(wanted))
     assert made.get("mark") == (am.Maximum(0.3) if "mark" in adapt else None)
-    assert made.get("engine") == (am.Bisect(coarsen=adapt.get("coarsen", False)) if "engine" in adapt else None)
+    assert made.get("engine") == (am.Bisect(passes=adapt.get("passes")) if "engine" in adapt else None)
     if wanted is None:
         found = case_run(**given, **{"measure.columns": ("estimate", "steps")})
         assert found["outcome"] == "CONVERGED" and found["estimate"] > 0 and found["steps"] >= 1

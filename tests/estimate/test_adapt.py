@@ -250,7 +250,7 @@ def test_a_load_path_is_followed_on_every_mesh():
     np.testing.assert_allclose(single.estimate.squares, plain.estimate.squares, rtol=1e-6)
 
 
-@pytest.mark.parametrize("engine", [am.Bisect(coarsen=0.02), am.Remesh()], ids=["coarsening", "remeshing"])
+@pytest.mark.parametrize("engine", [am.Bisect(), am.Remesh()], ids=["bisecting", "remeshing"])
 def test_a_mesh_is_refined_for_all_load_steps_where_their_errors_lie_apart(engine):
     # a load that moves along the top: what one step needs another would take back
     parts = ("first", "second", "third")

@@ -51,7 +51,7 @@ def copied(kept, whole, tmp_path) -> Path:
 #: the number of steps before a loop is broken off, and its options
 KINDS = {
     "after a step": (1, {}), "after three": (3, {}),
-    "coarsen": (2, {"engine": am.Bisect(coarsen=0.05)}),
+    "passes": (2, {"engine": am.Bisect(passes=2)}),
     "levels": (2, {"problem": UPSET, "start": am.Hierarchy.uniform(UPSET, (2, 3, 6)), "max_nodes": 200}),
     "goal": (1, {"start": 10e-3, "indicator": am.Goal(am.Displacement((0.0, 0.02), "x")), "max_nodes": 90}),
     "path": (1, {"problem": am.cases.greco_bar(), "start": 10e-3, "adapt_on": "worst", "max_nodes": 90,

@@ -44,8 +44,7 @@ def test_it_bisects_what_is_marked():
         assert as_sets(verified(am.Bisect().refine(PROBLEM, MESH, estimate, marked))) == as_sets(expected)
     assert am.Bisect().refine(PROBLEM, MESH, estimate, ~np.ones_like(marked)) is MESH
     for limit in (1, MESH.n_nodes - 1, MESH.n_nodes):
-        for engine in (am.Bisect(), am.Bisect(coarsen=0.05)):
-            assert engine.refine(PROBLEM, MESH, estimate, marked, max_nodes=limit) is MESH
+        assert am.Bisect().refine(PROBLEM, MESH, estimate, marked, max_nodes=limit) is MESH
     with pytest.raises(ValueError, match="estimate is of 128 elements, but mesh has 18"):
         am.Bisect().refine(PROBLEM, SQUARE, estimate, np.ones(18, dtype=bool))
 
@@ -90,28 +89,6 @@ def test_nodes_go_onto_the_arcs_of_the_domain():
     estimate = estimate_of(mesh, (1.0, 0.0))
     chords = am.Bisect().refine(bare, mesh, estimate, largest(estimate, 0.3))
     assert np.linalg.norm(chords.points[chords.boundary_nodes("in")], axis=1).min() < 1 - 1e-6
-
-
-def test_coarsening_follows_a_moving_front():
-    def followed(engine, mesh=MESH):
-        for k in range(8):
-            estimate = estimate_of(mesh, (np.ptp(MESH.points[:, 0]) * k / 7, 0.0))
-            mesh = verified(engine.refine(PROBLEM, mesh, estimate, largest(estimate, 0.05)))
-        return mesh
-
-    mesh, plain = followed(am.Bisect(coarsen=0.02)), followed(am.Bisect())
-    assert MESH.n_nodes < mesh.n_nodes < 0.8 * plain.n_nodes
-    assert mesh.volumes.sum() == pytest.approx(MESH.volumes.sum(), rel=1e-12)
-    # what is marked is never taken back, and less is taken than the marks gain
-    estimate = am.Estimate(squares=np.ones(len(mesh.elements)), norm=1.0)
-    marked = random_mask(mesh, 0.9, 1)
-    both = [e.refine(PROBLEM, mesh, estimate, marked).n_nodes for e in (am.Bisect(coarsen=0.5), am.Bisect())]
-    assert both[0] > mesh.n_nodes and both[0] <= both[1]
-    fine = bisect(MESH, np.ones(len(MESH.elements), dtype=bool))[0]
-    squares = np.where(np.arange(len(fine.elements)) < 3, 1.0, 1e-4)
-    for part in (0.005, 0.5):
-        finer = am.Bisect(coarsen=part).refine(PROBLEM, fine, am.Estimate(squares=squares, norm=1.0), squares == 1.0)
-        assert verified(finer).n_nodes > fine.n_nodes
 
 
 def test_rectangles_and_boxes_begin_with_a_regular_mesh():

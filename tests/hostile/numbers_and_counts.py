@@ -20,7 +20,7 @@ _KEYWORDS = (
     (am.ContactPair, "reach gap", (-1.0,), {"slave": "a", "master": "b"}), (am.SingleGrid, "omega", (2.0,), {}),
     (am.cases.greco_bar, "size top_pressure", (NAN,), {}), (am.CoarseSolve, "atol", (1.0, NAN), {}),
     (am.Doerfler, "theta", (0.0, 1.5), {}), (am.Remesh, "growth", (1.0,), {}), (am.Remesh, "finest", (1.0,), {}),
-    (am.Remesh, "coarsest", (0.5,), {}), (am.Bisect, "coarsen", (1.0,), {}),
+    (am.Remesh, "coarsest", (0.5,), {}),
     (am.Estimate, "squares", ([1.0, NAN], [-1.0], [], np.eye(2), [1j], [True, False]), {"norm": 1.0}),
     (am.Estimate, "norm", (-1.0,), {"squares": [1.0]}),
     (am.Estimate, "signed", (NAN,), {

@@ -1,4 +1,4 @@
-"""Bisection and coarsening: conforming from any mesh, bounded shapes, labels follow; the history goes through files."""
+"""Bisection: conforming from any mesh, bounded shapes, labels follow; the history goes through files."""
 
 import pickle
 from dataclasses import replace
@@ -6,15 +6,13 @@ from dataclasses import replace
 import bisected_meshes
 import numpy as np
 import pytest
-from bisected_meshes import SQUARE, as_sets, crooked, cube, random_mask, verified
+from bisected_meshes import SQUARE, crooked, cube, random_mask, verified
 from uncompiled import uncompile
 
-from adaptmg.mesh import MeshArrays, bisect, check_mesh, coarsen, quality, refine_near, structured
+from adaptmg.mesh import MeshArrays, bisect, check_mesh, quality, refine_near, structured
 from adaptmg.mesh.bisection import children, refine, tables
-from adaptmg.mesh.bisection import coarsen as coarsening
-from adaptmg.mesh.bisection.coarsen import coarsened
 from adaptmg.mesh.bisection.refine import bisected, refined
-from adaptmg.mesh.bisection.tables import cells_of, history_arrays, nodes_of, tree_of, with_history
+from adaptmg.mesh.bisection.tables import cells_of, history_arrays, nodes_of, with_history
 from adaptmg.problem import Rectangle
 
 
@@ -48,13 +46,13 @@ def test_random_marks_again_and_again_stay_conforming(mesh, passes):
         # those of one old facet lie one after another, in the order of the old ones
         assert (np.diff(mesh.facet_labels) >= 0).all() == (np.diff(before.facet_labels) >= 0).all()
         refinement = mesh.refinement
-        assert mesh.n_nodes > before.n_nodes and len(refinement.tree) > 0
+        assert mesh.n_nodes > before.n_nodes
         assert len(refinement.parents) == mesh.n_nodes and refinement.generation.max() < 100
         if mesh.n_nodes > 6_000:
             break
     assert k >= 2 and before.refinement is not None and replace(mesh, source=None).refinement is None
     for one in (mesh, pickle.loads(pickle.dumps(mesh))):
-        assert not any(getattr(one.refinement, name).flags.writeable for name in ("parents", "marks", "tree"))
+        assert not any(getattr(one.refinement, name).flags.writeable for name in ("parents", "marks", "generation"))
 
 
 @pytest.mark.parametrize("tip", [[0.3, 0.6], [0.02, 0.1]])
@@ -111,17 +109,14 @@ def results():
         fine = mesh
         for k, passes in enumerate((None, 1, 2)):
             fine, _ = bisect(fine, random_mask(fine, 0.2, k), passes)
-        coarse = coarsen(fine, random_mask(fine, 0.8, 7), passes=2)
-        assert coarse.n_nodes < fine.n_nodes
-        for what, one in (("fine", fine), ("coarse", coarse)):
-            for part in ("points", "elements", "facets", "facet_labels", "element_body"):
-                found[f"{name} {what} {part}"] = getattr(one, part)
+        for part in ("points", "elements", "facets", "facet_labels", "element_body"):
+            found[f"{name} {part}"] = getattr(fine, part)
     return found
 
 
 def test_kernels_without_the_compiler(monkeypatch):
     compiled = results()
-    uncompile(monkeypatch, refine, children, tables, coarsening)
+    uncompile(monkeypatch, refine, children, tables)
     for key, value in results().items():
         np.testing.assert_array_equal(value, compiled[key], err_msg=key)
 
@@ -131,14 +126,11 @@ def test_kernels_without_the_compiler(monkeypatch):
 def test_tables_that_grow_hold_the_same_as_those_with_room(mesh, every_edge):
     fine, _ = bisect(mesh, random_mask(mesh, 0.2, 1))
     marked, n = random_mask(fine, 0.3, 2), len(fine.elements)
-    tree = tree_of(fine)
     found = []
     for room in (0.0, 20.0):
-        more = np.empty((len(tree) + int(room * n), tree.shape[1]), dtype=np.int32)
-        more[:len(tree)] = tree
-        cells, n_cells, more, n_tree, nodes, n_nodes = bisected(
-            cells_of(fine, room), n, more, len(tree), nodes_of(fine, room), fine.n_nodes, marked, every_edge)
-        found.append((cells[:n_cells], more[:n_tree], nodes[fine.n_nodes:n_nodes]))
+        cells, n_cells, nodes, n_nodes = bisected(cells_of(fine, room), n, mesh.dim + 1, nodes_of(fine, room),
+                                                  fine.n_nodes, marked, every_edge)
+        found.append((cells[:n_cells], nodes[fine.n_nodes:n_nodes]))
     for tight, roomy in zip(*found, strict=True):
         np.testing.assert_array_equal(tight, roomy)
 
@@ -161,53 +153,6 @@ def test_refine_near_reaches_strong_grading_without_bad_angles():
     assert [len(m.boundary_facets("bottom")) for m in refine_near(cube(2), ["bottom", "left"], 2)] == [8, 32, 128]
     with pytest.raises(ValueError, match="boundary 'bottm' does not exist"):
         refine_near(FINE_SQUARE, "bottm")
-
-
-# -- coarsening -----------------------------------------------------------------------------------------------------
-
-@EACH
-def test_refined_at_random_and_all_taken_back_is_the_first_mesh(mesh):
-    fine = mesh
-    for k in range(5):
-        fine, _ = bisect(fine, random_mask(fine, 0.15, k), None if k % 2 else 1)
-    back = coarsen(pickle.loads(pickle.dumps(fine)), everything(fine))
-    assert as_sets(back) == as_sets(mesh)
-    np.testing.assert_array_equal(back.points, mesh.points)
-    assert len(back.refinement.tree) == 0 and (back.refinement.generation == 0).all()
-    assert coarsen(back, everything(back)) is back and fine.refinement is not None
-    assert as_sets(bisect(back, everything(back))[0]) == as_sets(bisect(mesh, everything(mesh))[0])
-
-
-@EACH
-def test_to_and_fro_stays_conforming(mesh):
-    mixed = 0
-    for k in range(8):
-        mesh, _ = bisect(mesh, random_mask(mesh, 0.1, k))
-        marked = random_mask(mesh, 0.7, 100 + k)
-        result = coarsened(mesh, marked, 1 if k % 2 else None)
-        coarse = verified(result.mesh)
-        assert coarse.volumes.sum() == pytest.approx(1, rel=1e-12)
-        kept = result.nodes >= 0
-        np.testing.assert_array_equal(coarse.points[result.nodes[kept]], mesh.points[kept])
-        np.testing.assert_array_equal(np.sort(result.nodes[kept]), np.arange(coarse.n_nodes))
-        # what was not marked is still there
-        unmarked = {frozenset(map(tuple, mesh.points[e].tolist())) for e in mesh.elements[~marked]}
-        assert unmarked <= {nodes for _, nodes in as_sets(coarse)[1]}
-        mixed += coarse.n_nodes < mesh.n_nodes
-        mesh = coarse
-        if mesh.n_nodes > 4000:
-            break
-    assert mixed > 2
-
-
-@EACH
-def test_one_pass_takes_back_one_bisection(mesh):
-    once, _ = bisect(mesh, everything(mesh), passes=1)
-    twice, _ = bisect(once, everything(once), passes=1)
-    assert as_sets(coarsen(once, everything(once), 1)) == as_sets(mesh)
-    back = coarsen(twice, everything(twice), passes=1)
-    assert mesh.n_nodes < back.n_nodes < twice.n_nodes
-    assert back.refinement.generation.max() < twice.refinement.generation.max()
 
 
 # -- the history in files ----------------------------------------------------------------------------------------------
@@ -237,9 +182,6 @@ def test_bisection_goes_on_from_a_file_as_if_it_had_never_stopped(mesh, tmp_path
     first, second = (bisect(m, marked)[0] for m in (fine, back))
     for name in ("points", "elements", "facets", "facet_labels"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    assert as_sets(coarsen(second, everything(second))) == as_sets(mesh)
-    # without it, the mesh is an initial one
-    assert coarsen(bare(fine), everything(fine)).n_nodes == fine.n_nodes
     assert history_arrays(mesh) == {} and with_history(bare(fine), {}).refinement is None
 
 
@@ -260,10 +202,9 @@ def put(row, value):
     ("parents", lambda a: a[:-1], "parents must have shape"),
     ("parents", put((0, 1), 5), "parents holds numbers out of range"),
     ("marks", put(0, 18), "marks holds numbers out of range"),
-    ("forebear", put(0, 10**6), "forebear holds numbers out of range"),
-    ("forebear", lambda a: np.where(a >= 0, (a + 3) % (a.max() + 1), a), "elements lack the node"),
-    ("tree", put((0, 0), 10**6), "tree holds numbers out of range"),
-    ("tree", lambda a: a[:, :-1], "tree must have shape"),
+    ("generation", put(0, -1), "generation holds numbers out of range"),
+    ("generation", lambda a: a[:-1], "generation must have shape"),
+    ("parents", lambda a: np.arange(len(a))[:, None].repeat(2, axis=1), "elements lack a node"),
     ("marks", lambda a: a.astype(np.int64) + 2**40, "marks holds numbers out of range"),
     ("marks", None, "history: marks is missing"),
 ])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bisected_meshes import SQUARE, random_mask, verified
 
-from adaptmg.mesh import MeshArrays, bisect, check_mesh, coarsen, graded, onto_domain, quality
+from adaptmg.mesh import MeshArrays, bisect, check_mesh, graded, onto_domain, quality
 from adaptmg.mesh.bisection.onto_domain import curved_boundaries
 from adaptmg.problem import Assembly, Box, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import Ball, Common, Cut, Cylinder, Extrusion, Moved, Revolution
@@ -132,11 +132,3 @@ def test_a_node_stays_on_the_chord_where_it_would_spoil_an_element(height, goes)
     assert (moved is not fine) == goes
     np.testing.assert_allclose(moved.points[new], (0, 0.5 if goes else 0), atol=1e-15)
     assert moved.volumes.min() > 0.2 * fine.volumes.min()
-
-
-def test_moved_meshes_are_taken_back_too():
-    coarse = graded(RING, 0.5)
-    fine = refined_onto(RING, coarse, 2, 0.4)
-    back = verified(coarsen(fine, np.ones(len(fine.elements), dtype=bool)))
-    np.testing.assert_array_equal(back.points, coarse.points)
-    assert len(back.elements) == len(coarse.elements)

@@ -40,7 +40,7 @@ def bisect(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> t
     -------
     fine : MeshArrays
         Nested in ``mesh``; the old nodes come first and keep their numbers, names and bodies stay. It carries its
-        history (``fine.refinement``), by which :func:`adaptmg.mesh.coarsen` takes bisections back.
+        history (``fine.refinement``), by which further bisection goes on.
     parents : (n_fine_nodes, 2) array of int
         Node i of ``fine`` is the midpoint of nodes ``parents[i]``, both below i (they may be new nodes themselves);
         of an old node both are i.

@@ -78,25 +78,17 @@ def _tetrahedron(cells, e, n, p):
 
 
 @inner_kernel
-def write_children(cells, e, n, tree, m, p):
-    """Bisect element e at node p: children into rows e and n of the cells, itself into row m of the tree."""
-    corners = tree.shape[1] - 3
+def write_children(cells, e, n, corners, p):
+    """Bisect element e at node p: children into rows e and n of the cells."""
     marks = 2 * corners
-    for j in range(corners):
-        tree[m, j] = cells[e, j]
-    tree[m, corners] = cells[e, marks]
-    tree[m, corners + 1] = cells[e, marks + 1]
-    tree[m, corners + 2] = p
     if corners == 3:
         _triangle(cells, e, n, p)
         cells[n, marks] = 0
     else:
         _tetrahedron(cells, e, n, p)
-    cells[e, marks + 1] = m
-    cells[n, marks + 1] = m
-    cells[e, marks + 2] += 1
+    cells[e, marks + 1] += 1
+    cells[n, marks + 1] = cells[e, marks + 1]
     cells[n, marks + 2] = cells[e, marks + 2]
-    cells[n, marks + 3] = cells[e, marks + 3]
 
 
 # for each longest edge (i, j) of a tetrahedron, i < j: an even order of the corners that begins with it

@@ -17,18 +17,7 @@ import numpy as np
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.children import write_children
-from adaptmg.mesh.bisection.tables import (
-    HEAD,
-    HIGH,
-    LOW,
-    NEXT,
-    Refined,
-    cells_of,
-    mesh_of,
-    nodes_of,
-    parents_of,
-    tree_of,
-)
+from adaptmg.mesh.bisection.tables import HEAD, HIGH, LOW, NEXT, Refined, cells_of, mesh_of, nodes_of, parents_of
 
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
@@ -43,8 +32,7 @@ def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> 
         if not rest.any():
             break
         following = _once(result.mesh, rest, False)
-        result = Refined(mesh=following.mesh, origin=result.origin[following.origin],
-                         nodes=np.arange(mesh.n_nodes))
+        result = Refined(mesh=following.mesh, origin=result.origin[following.origin])
     return result
 
 
@@ -53,17 +41,15 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     n, corners = mesh.elements.shape
     # of uniform refinement in 2D: 4 times the elements, 4 times the nodes
     room = min(1.0, 2.0 * np.count_nonzero(marked) / n) * (2.0 ** mesh.dim if every_edge else 2.0)
-    tree = tree_of(mesh)
-    cells, n_cells, tree, n_tree, nodes, n_nodes = bisected(
-        cells_of(mesh, room), n, tree.copy(), len(tree), nodes_of(mesh, room), mesh.n_nodes, marked, every_edge)
+    cells, n_cells, nodes, n_nodes = bisected(cells_of(mesh, room), n, corners, nodes_of(mesh, room), mesh.n_nodes,
+                                              marked, every_edge)
     points = np.empty((n_nodes, mesh.dim))
     points[:mesh.n_nodes] = mesh.points
     midpoints(points, mesh.n_nodes, nodes)
     parents = np.concatenate([parents_of(mesh), nodes[mesh.n_nodes:n_nodes, [LOW, HIGH]]])
     # in the order of the elements they come from: neighbours stay near
     cells = cells[np.argsort(cells[:n_cells, -1], kind="stable")]
-    fine = mesh_of(mesh, points, parents, cells, tree[:n_tree].copy())
-    return Refined(mesh=fine, origin=cells[:, 2 * corners + 3].copy(), nodes=np.arange(mesh.n_nodes))
+    return Refined(mesh=mesh_of(mesh, points, parents, cells), origin=cells[:, -1].copy())
 
 
 @inner_kernel
@@ -156,26 +142,25 @@ def _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked, most):
 
 
 @inner_kernel
-def _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before, stamp):
+def _round(cells, n_cells, corners, nodes, stamps, n_nodes, e, n_before, stamp):
     """Bisect the elements from e on that have a cut edge, as long as there is room. Which were there before the round
     are looked at if they were touched since the round before, and e in any case. The tables are not assigned again in
     here: counting references to them would take longer than all the rest."""
-    corners, again = tree.shape[1] - 3, e
+    again = e
     while e < n_cells:
         if e >= n_before or e == again or _touched(cells, e, corners, stamps, stamp - 1):
             while _has_cut_edge(cells, e, corners, nodes, stamps):
-                if n_cells == len(cells) or n_tree == len(tree) or n_nodes == len(nodes):
-                    return e, n_cells, n_tree, n_nodes
+                if n_cells == len(cells) or n_nodes == len(nodes):
+                    return e, n_cells, n_nodes
                 p, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, 0], cells[e, 1], stamp)
-                write_children(cells, e, n_cells, tree, n_tree, p)
+                write_children(cells, e, n_cells, corners, p)
                 n_cells += 1
-                n_tree += 1
         e += 1
-    return e, n_cells, n_tree, n_nodes
+    return e, n_cells, n_nodes
 
 
 @kernel
-def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
+def bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge):
     """Bisect the marked elements and what conformity asks for."""
     # the round in which an edge that ends in a node was last cut, -1: never
     stamps = np.full(len(nodes), -1, dtype=np.int32)
@@ -183,7 +168,7 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
     stamp, e = np.int64(0), np.int64(0)
     while e < n_cells:
         e, n_nodes = _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked,
-                                 tree.shape[1] - 3 if every_edge else 2)
+                                 corners if every_edge else 2)
         if e < n_cells:
             nodes, stamps = _roomier(nodes), _longer(stamps)
     nodes_before = np.int64(-1)
@@ -192,15 +177,12 @@ def bisected(cells, n_cells, tree, n_tree, nodes, n_nodes, marked, every_edge):
         nodes_before, n_before = n_nodes, n_cells
         e = np.int64(0)
         while e < n_cells:
-            e, n_cells, n_tree, n_nodes = _round(cells, n_cells, tree, n_tree, nodes, stamps, n_nodes, e, n_before,
-                                                 stamp)
+            e, n_cells, n_nodes = _round(cells, n_cells, corners, nodes, stamps, n_nodes, e, n_before, stamp)
             if n_cells == len(cells):
                 cells = _roomier(cells)
-            if n_tree == len(tree):
-                tree = _roomier(tree)
             if n_nodes == len(nodes):
                 nodes, stamps = _roomier(nodes), _longer(stamps)
-    return cells, n_cells, tree, n_tree, nodes, n_nodes
+    return cells, n_cells, nodes, n_nodes
 
 
 @kernel

@@ -1,8 +1,7 @@
 """A mesh into the tables of a bisection and out of them, with its history; the history as plain arrays for files.
 
-A table has a row of 32 bit integers for each element, bisected element or node. Columns of an element: its corners, the
-boundary facet opposite each (-1: none), marks, forebear, generation, origin; of the tree: corners, marks, forebear, new
-node.
+A table has a row of 32 bit integers for each element or node. Columns of an element: its corners, the boundary facet
+opposite each (-1: none), marks, generation, origin.
 """
 
 from __future__ import annotations
@@ -19,17 +18,14 @@ from adaptmg.mesh.bisection.children import CODES, EVEN, first_labels
 # columns of the nodes: first and next of the list of edges (see refine), and both ends of the edge that it halves
 HEAD, NEXT, LOW, HIGH = 0, 1, 2, 3
 NODE_COLUMNS = 4
-# columns after the corners: of a bisected element its marks, its own forebear (row of the tree, -1: none), its new node
-FOREBEAR = 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """A mesh made from another one by bisection or its taking back."""
+    """A mesh made from another one by bisection."""
 
     mesh: MeshArrays  # trusted, with its history and a source on demand
-    origin: np.ndarray  # (n_elements,) int: of a refined mesh: the element of the mesh before that holds each element
-    nodes: np.ndarray  # (n_nodes_before,) int: number of each node of the mesh before; -1 where it is gone
+    origin: np.ndarray  # (n_elements,) int: the element of the mesh before that holds each element
 
 
 def parents_of(mesh: MeshArrays) -> np.ndarray:
@@ -43,27 +39,19 @@ def parents_of(mesh: MeshArrays) -> np.ndarray:
 def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
     """The elements as a table, labelled if the mesh was never bisected, with ``room`` times the rows as room."""
     n, corners = mesh.elements.shape
-    cells = np.empty((n + int(room * n), 2 * corners + 4), dtype=np.int32)
+    cells = np.empty((n + int(room * n), 2 * corners + 3), dtype=np.int32)
     cells[:n, :corners] = mesh.elements
     facets_into_cells(mesh.facets, cells, n, corners, np.full(mesh.n_nodes, -1, dtype=np.int32),
                       np.empty(len(mesh.facets), dtype=np.int32), np.zeros(mesh.n_nodes, dtype=bool))
     marks, refinement = 2 * corners, mesh.refinement
     if refinement is None:
         first_labels(mesh.points, cells, n, corners, EVEN, CODES, np.empty(2 * corners, dtype=np.int32))
-        cells[:n, marks + 1] = -1
-        cells[:n, marks + 2] = 0
+        cells[:n, marks + 1] = 0
     else:
         cells[:n, marks] = refinement.marks
-        cells[:n, marks + 1] = refinement.forebear
-        cells[:n, marks + 2] = refinement.generation
-    cells[:n, marks + 3] = np.arange(n)
+        cells[:n, marks + 1] = refinement.generation
+    cells[:n, marks + 2] = np.arange(n)
     return cells
-
-
-def tree_of(mesh: MeshArrays) -> np.ndarray:
-    """The elements that were bisected."""
-    refinement = mesh.refinement
-    return np.empty((0, mesh.dim + 4), dtype=np.int32) if refinement is None else refinement.tree
 
 
 def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
@@ -74,8 +62,7 @@ def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
     return nodes
 
 
-def mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray, tree: np.ndarray
-            ) -> MeshArrays:
+def mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray) -> MeshArrays:
     """The mesh that tables hold, with the boundaries and bodies of the mesh they come from."""
     corners = before.dim + 1
     marks = 2 * corners
@@ -86,9 +73,8 @@ def mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: 
     order = np.argsort(origin, kind="stable")
     facets, origin = cells[row[:, None], opposite[side]][order], origin[order]
     mesh = MeshArrays(points, cells[:, :corners], facets, before.facet_labels[origin], before.boundaries,
-                      before.element_body[cells[:, marks + 3]], before.bodies)
-    history = Refinement(parents, cells[:, marks].astype(np.int8), cells[:, marks + 2].astype(np.int16),
-                         cells[:, marks + FOREBEAR].copy(), tree)
+                      before.element_body[cells[:, -1]], before.bodies)
+    history = Refinement(parents, cells[:, marks].astype(np.int8), cells[:, marks + 1].astype(np.int16))
     return with_refinement(sound_by_construction(mesh), history)
 
 
@@ -145,17 +131,15 @@ def with_refinement(mesh: MeshArrays, refinement: Refinement | None) -> MeshArra
 
 
 def as_initial(mesh: MeshArrays) -> MeshArrays:
-    """The mesh with its labels, but without its past: nothing is taken back below it."""
+    """The mesh with its labels, but without its past: it counts as the initial one."""
     history = mesh.refinement
     if history is None:
         return mesh
     own = np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
-    n = len(mesh.elements)
-    return with_refinement(mesh, Refinement(own, history.marks, np.zeros(n, np.int16), np.full(n, -1, np.int32),
-                                            history.tree[:0].copy()))
+    return with_refinement(mesh, Refinement(own, history.marks, np.zeros(len(mesh.elements), np.int16)))
 
 
-_TYPES = {"parents": np.int32, "marks": np.int8, "generation": np.int16, "forebear": np.int32, "tree": np.int32}
+_TYPES = {"parents": np.int32, "marks": np.int8, "generation": np.int16}
 # marks of tetrahedra, flagged or not
 _MOST_MARKS = {2: 0, 3: 17}
 
@@ -175,23 +159,19 @@ def with_history(mesh: MeshArrays, arrays: Mapping[str, np.ndarray]) -> MeshArra
     if missing:
         raise ValueError(f"history: {', '.join(missing)} is missing; it takes {', '.join(_TYPES)}")
     given = {name: _whole(name, arrays[name], dtype) for name, dtype in _TYPES.items()}
-    n, elements, bisected = mesh.n_nodes, len(mesh.elements), len(given["tree"])
-    shapes = {"parents": (n, 2), "marks": (elements,), "generation": (elements,), "forebear": (elements,),
-              "tree": (bisected, mesh.dim + 4)}
+    n, elements = mesh.n_nodes, len(mesh.elements)
+    shapes = {"parents": (n, 2), "marks": (elements,), "generation": (elements,)}
     for name, shape in shapes.items():
         if given[name].shape != shape:
             raise ValueError(f"history: {name} must have shape {shape}, got {given[name].shape}")
-    most, corners, tree = _MOST_MARKS[mesh.dim], mesh.dim + 1, given["tree"]
     for name, values, below in (("parents", given["parents"], np.arange(n)[:, None] + 1),
-                                ("marks", given["marks"], most + 1), ("generation", given["generation"], 2**15),
-                                ("forebear", given["forebear"] + 1, bisected + 1), ("tree", tree[:, :corners], n),
-                                ("tree", tree[:, corners], most + 1), ("tree", tree[:, -1], n),
-                                ("tree", tree[:, corners + FOREBEAR] + 1, bisected + 1)):
+                                ("marks", given["marks"], _MOST_MARKS[mesh.dim] + 1),
+                                ("generation", given["generation"], 2**15)):
         if not ((values >= 0) & (values < below)).all():
             raise ValueError(f"history: {name} holds numbers out of range; it is not of this mesh")
-    used = given["forebear"][given["forebear"] >= 0]
-    if not (mesh.elements[given["forebear"] >= 0] == tree[used, -1][:, None]).any(axis=1).all():
-        raise ValueError("history: elements lack the node that bisection made them with; it is not of this mesh")
+    made = given["parents"][:, 0] != given["parents"][:, 1]
+    if not made[mesh.elements[given["generation"] > 0]].any(axis=1).all():
+        raise ValueError("history: elements lack a node that bisection made them with; it is not of this mesh")
     return with_refinement(mesh, Refinement(**given))
 
 
