@@ -87,6 +87,11 @@ def compiling_seconds() -> float:
     return getattr(_COMPILING.here, "seconds", 0.0)
 
 
+def clock() -> float:
+    """Seconds that this thread has spent on anything but compiling: only differences mean something."""
+    return time.perf_counter() - compiling_seconds()
+
+
 @lru_cache(maxsize=1)
 def _announce() -> None:
     say("adaptmg: compiling kernels (first use on this machine, about 15 s; stored for later runs)")

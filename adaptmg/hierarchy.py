@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,6 +14,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
+from adaptmg._numba import clock, compiling_seconds
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.discretise import same
 from adaptmg.discrete.problem import DiscreteProblem
@@ -121,7 +121,7 @@ class Hierarchy:
         diagonal : {"right", "left", "alternating"}
             How squares are cut (2D).
         """
-        begin = time.perf_counter()
+        begin = clock()
         from adaptmg.mesh import structured
         from adaptmg.mesh.structured import lattice_nodes
 
@@ -154,7 +154,7 @@ class Hierarchy:
             of a coarse mesh (of boxes our own, of other solids Netgen's, one a level) and improvement of shapes.
             "netgen": Netgen alone, which takes ten times as long and also meshes where "own" fails.
         """
-        begin = time.perf_counter()
+        begin = clock()
         from adaptmg.mesh import graded
         from adaptmg.mesh.grading import sensible_sizes
 
@@ -185,7 +185,7 @@ class Hierarchy:
         says so, with the sizes; a UserWarning where they are more than six times as large as those at contact. Meshes
         that follow the whole solution come from :func:`adaptmg.adapt`, :meth:`graded` or :meth:`from_meshes`.
         """
-        begin = time.perf_counter()
+        begin = clock()
         from adaptmg.mesh import as_mesh, refine_near
 
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
@@ -214,7 +214,7 @@ class Hierarchy:
             Replace the rows of fine contact nodes by linear interpolation along the coarse contact boundary, whatever
             the transfer does elsewhere: the monotone correction is proven only so (or where the transfer does it).
         """
-        begin = time.perf_counter()
+        begin = clock()
         from adaptmg.mesh import as_mesh
 
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
@@ -237,11 +237,11 @@ class Hierarchy:
         from adaptmg.transfer.galerkin import coarse_spaces
 
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
-        begin = time.perf_counter()
+        begin = clock()
         given, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
         levels = [Level(None, None, P, galerkin=A) for P, A in zip([None, *given[:-1]], matrices, strict=True)]
         levels.append(Level(discrete, None, given[-1]))
-        return cls(tuple(levels), None, "given prolongations", {"transfer": time.perf_counter() - begin})
+        return cls(tuple(levels), None, "given prolongations", {"transfer": clock() - begin})
 
     @classmethod
     def algebraic(cls, discrete: DiscreteProblem, max_coarse: int = 300) -> Hierarchy:
@@ -257,32 +257,35 @@ class Hierarchy:
         from adaptmg.transfer.galerkin import aggregated_prolongations
 
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
-        begin = time.perf_counter()
+        begin = clock()
         found = aggregated_prolongations(discrete.matrix, discrete.near_nullspace, discrete.fixed,
                                          checks.integer("max_coarse", max_coarse, 1))
         if not found:
             raise ValueError(f"the matrix has {discrete.n_nodes} nodes, no more than max_coarse={max_coarse}: there is "
                              "nothing to coarsen; use SingleGrid or ActiveSet, or a smaller max_coarse")
         made = cls.from_prolongations(discrete, found)
-        return cls(made.levels, None, "smoothed aggregation", {"transfer": time.perf_counter() - begin})
+        return cls(made.levels, None, "smoothed aggregation", {"transfer": clock() - begin})
 
     @classmethod
     @one_blas_thread()
     def _build(cls, problem: ContactProblem, mesh: Callable[[], list[MeshArrays]], transfer: Transfer | None,
                origin: str, begin: float, contact_rows: bool = True, limits: str = "") -> Hierarchy:
         """The levels on the meshes that ``mesh`` makes."""
+        compiled = compiling_seconds()
         meshes = mesh()
         for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
             warnings.warn(message, UserWarning, stacklevel=4)
         checks.flag("contact_rows", contact_rows)
         builder = the_transfer(transfer)
         check_coarse_to_fine(meshes)
-        meshed = time.perf_counter()
+        meshed = clock()
         levels = [level_of(problem, mesh) for mesh in meshes]
-        assembled = time.perf_counter()
+        assembled = clock()
         for k in range(1, len(levels)):
             levels[k] = joined(levels[k - 1], levels[k], builder, contact_rows)
-        timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
+        timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": clock() - assembled}
+        if compiling_seconds() > compiled:
+            timings["compiling"] = compiling_seconds() - compiled
         return cls(tuple(levels), problem, origin, timings, limits, transfer, contact_rows)
 
     def __len__(self) -> int:
@@ -325,14 +328,14 @@ class Hierarchy:
         """
         from adaptmg.mesh import as_mesh
 
-        begin = time.perf_counter()
+        begin = clock()
         self._need_meshes("append")
         fine = as_mesh(mesh)
         check_coarse_to_fine([self.finest.mesh, fine])
-        meshed = time.perf_counter()
-        new, assembled = level_of(self.problem, fine), time.perf_counter()
+        meshed = clock()
+        new, assembled = level_of(self.problem, fine), clock()
         new = joined(self.finest, new, the_transfer(self.transfer), self.contact_rows)
-        spent = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": time.perf_counter() - assembled}
+        spent = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": clock() - assembled}
         origin = self.origin if self.origin.endswith(", grown") else f"{self.origin}, grown"
         return replace(self, levels=(*self.levels, new), timings=self._with(spent), origin=origin)
 
@@ -357,7 +360,7 @@ class Hierarchy:
         >>> for friction in (0.2, 0.4):
         ...     result = am.solve(grids.with_problem(am.cases.greco_bar(law=am.Coulomb(friction))), am.Multigrid())
         """
-        begin = time.perf_counter()
+        begin = clock()
         self._need_meshes("with_problem")
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
         if problem.domain is not None and self.problem.domain is not None and not same(problem.domain,
@@ -369,12 +372,12 @@ class Hierarchy:
             raise ValueError(f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
                              f"contact on {', '.join(filter(None, own))}: use Hierarchy.graded or from_meshes")
         levels = reposed(self.levels, problem, self.problem)
-        assembled = time.perf_counter()
+        assembled = clock()
         kept = [touches_alike(a.discrete, b.discrete) for a, b in zip(self.levels, levels, strict=True)]
         for k in range(1, len(levels)):
             if not (kept[k - 1] and kept[k]):
                 levels[k] = joined(levels[k - 1], levels[k], the_transfer(self.transfer), self.contact_rows)
-        spent = {"mesh": 0.0, "assembly": assembled - begin, "transfer": time.perf_counter() - assembled}
+        spent = {"mesh": 0.0, "assembly": assembled - begin, "transfer": clock() - assembled}
         return replace(self, levels=tuple(levels), problem=problem, timings=spent)
 
     @one_blas_thread()
@@ -383,7 +386,7 @@ class Hierarchy:
 
         ``level`` 0 is the coarsest. ValueError for the finest, and if the levels are not made of meshes.
         """
-        begin = time.perf_counter()
+        begin = clock()
         if not 0 <= checks.integer("level", level) < len(self) - 1:
             raise ValueError(f"level must satisfy 0 <= level < {len(self) - 1} (the finest stays), got {level}")
         if level == 0:
@@ -391,7 +394,7 @@ class Hierarchy:
         self._need_meshes("without")
         above = joined(self.levels[level - 1], self.levels[level + 1], the_transfer(self.transfer), self.contact_rows)
         kept = (*self.levels[:level], above, *self.levels[level + 2:])
-        return replace(self, levels=kept, timings=self._with({"transfer": time.perf_counter() - begin}))
+        return replace(self, levels=kept, timings=self._with({"transfer": clock() - begin}))
 
     def _with(self, seconds: dict[str, float]) -> dict[str, float]:
         return {name: self.timings.get(name, 0.0) + seconds.get(name, 0.0) for name in {**self.timings, **seconds}}

@@ -72,7 +72,7 @@ def test_paper_grids():
     grids = am.Hierarchy.uniform(BAR, divisions=(4, 8, 16, 32))
     assert [row["nodes"] for row in grids.table()] == [25, 81, 289, 1089]
     assert all(text in repr(grids) for text in ("1089", "GRECO", f"{grids.operator_complexity:.3f}"))
-    assert set(grids.timings) == {"mesh", "assembly", "transfer"} and min(grids.timings.values()) > 0
+    assert set(grids.timings) - {"compiling"} == {"mesh", "assembly", "transfer"} and min(grids.timings.values()) > 0
     assert grids.grid_complexity == pytest.approx((25 + 81 + 289 + 1089) / 1089)
     part = grids.truncated(coarsest=1, finest=2)
     assert [row["nodes"] for row in part.table()] == [81, 289]

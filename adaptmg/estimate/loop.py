@@ -14,7 +14,6 @@ With a load path every mesh goes along the whole path, and is refined for its la
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -22,6 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from adaptmg._blas import one_blas_thread
+from adaptmg._numba import clock, compiling_seconds
 from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.bisect import divisible
 from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of
@@ -72,11 +72,13 @@ class _Clock:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        begin = time.perf_counter()
+        begin, compiled = clock(), compiling_seconds()
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+            for what, spent in ((name, clock() - begin), ("compiling", compiling_seconds() - compiled)):
+                if spent or what == name:
+                    self.seconds[what] = self.seconds.get(what, 0.0) + spent
 
     def take(self) -> dict[str, float]:
         taken, self.seconds = self.seconds, {}
@@ -193,7 +195,7 @@ class AdaptiveLoop:
             grown = appended(before, mesh, self.parts.engine)
             start = carried(grown, len(before) - 1, last.result.displacement)
             grown = thinned(grown, last=self._full(mesh.n_nodes))
-        for name, seconds in grown.timings.items():
+        for name, seconds in (item for item in grown.timings.items() if item[0] != "compiling"):
             # what the hierarchy spent is not part of choosing levels
             spent = seconds - before.timings.get(name, 0.0)
             self.clock.seconds[name] = self.clock.seconds.get(name, 0.0) + spent

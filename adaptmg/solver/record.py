@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -12,6 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._numba import clock, compiling_seconds
+from adaptmg._text import say
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.examine import Examined
 
@@ -47,6 +49,11 @@ class Status(Enum):
         return self is Status.CONVERGED
 
 
+#: what is done in a phase, for progress
+PHASES = {"statics": "checking supports and loads", "setup": "setting up the levels", "start": "nested start",
+          "factorise": "factorising", "certificate": "checking the result"}
+
+
 @dataclass
 class Run:
     """What a solver writes while it runs."""
@@ -56,15 +63,17 @@ class Run:
     reference: np.ndarray | None = None  # (n_nodes, dim)
     work_units: float = 0.0  # passes over matrices, weighted by nonzeros over unit
     history: list[dict[str, float]] = field(default_factory=list)
-    timings: dict[str, float] = field(default_factory=dict)  # seconds by phase
+    timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, and those of compiling
     path: list[tuple[int, str, int]] = field(default_factory=list)  # (level, action, times)
-    started: float = field(default_factory=time.perf_counter)
+    started: float = field(default_factory=clock)
     start_work_units: float = 0.0  # the part of work_units of the nested start
     untimed_seconds: float = 0.0  # spent on comparison with the reference
     first_cycle: int = 0  # cycles done by another method before the one that records now
     fallback: str = ""  # the method that took over, and from which cycle; empty if none did
     examiner: Callable[[np.ndarray, float], Examined] | None = None
+    progress: bool = False  # say what is done if it takes more than 2 s
     _nested_seconds: float = 0.0
+    _compiled: float = field(default_factory=compiling_seconds)
 
     #: entries of ``path`` kept; a run of thousands of cycles repeats itself
     PATH_LIMIT = 100_000
@@ -80,7 +89,7 @@ class Run:
             self.path.append((level, action, times))
 
     def record(self, *, cycle: int, **values: float) -> None:
-        seconds = time.perf_counter() - self.started - self.untimed_seconds
+        seconds = clock() - self.started - self.untimed_seconds
         row = {"cycle": self.first_cycle + cycle, "work_units": self.work_units, "seconds": seconds, **values}
         self.history.append(row)
         if self.callback is not None:
@@ -89,21 +98,29 @@ class Run:
     @contextmanager
     def untimed(self) -> Iterator[None]:
         """Keep a block (comparison with the reference) out of the seconds of the history and of its phase."""
-        begin = time.perf_counter()
+        begin = clock()
         try:
             yield
         finally:
-            self.untimed_seconds += time.perf_counter() - begin
+            self.untimed_seconds += clock() - begin
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
         """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ...; inner ones apart."""
-        begin, untimed, outside = time.perf_counter(), self.untimed_seconds, self._nested_seconds
+        begin, untimed, outside = clock(), self.untimed_seconds, self._nested_seconds
         self._nested_seconds = 0.0
+        waiting = threading.Timer(2.0, say, (f"{PHASES[name]} ...",)) if self.progress and name in PHASES else None
+        if waiting:
+            waiting.start()
         try:
             yield
         finally:
-            seconds = time.perf_counter() - begin - (self.untimed_seconds - untimed)
+            if waiting:
+                waiting.cancel()
+            compiled, self._compiled = compiling_seconds() - self._compiled, compiling_seconds()
+            if compiled:
+                self.timings["compiling"] = self.timings.get("compiling", 0.0) + compiled
+            seconds = clock() - begin - (self.untimed_seconds - untimed)
             self.timings[name] = self.timings.get(name, 0.0) + seconds - self._nested_seconds
             self._nested_seconds = outside + seconds
 

@@ -68,7 +68,7 @@ class Result:
         cycle, work_units, seconds, and what the solver recorded: residual (natural, relative), change (since the check
         before, relative, A-norm), error_estimate, true_error (with a reference; relative, A-norm).
     timings : dict of str to float
-        Seconds by phase.
+        Seconds by phase; those of compiling kernels, if there are any, apart.
     path : list of (level, action, times)
         The way through the levels.
     levels : list of dict
@@ -148,8 +148,8 @@ class Result:
 
     @property
     def seconds(self) -> float:
-        """Seconds of all phases of the solve (set-up included, meshing and assembly not)."""
-        return float(sum(self.timings.values()))
+        """Seconds of all phases of the solve (set-up included; meshing, assembly and compiling not)."""
+        return float(sum(seconds for phase, seconds in self.timings.items() if phase != "compiling"))
 
     def __repr__(self) -> str:
         return shortened(str(self))

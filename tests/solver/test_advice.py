@@ -1,14 +1,18 @@
 """Warnings on what exceeds the theory: each fires where it should, and none on any case; the default of one mesh."""
 
 import logging
+import time
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from bodies import bar_hierarchy, bar_on_block
 
 import adaptmg as am
+from adaptmg._numba import compiling_seconds, kernel
+from adaptmg.solver import record
 from adaptmg.solver import solve as solving
 
 
@@ -98,6 +102,23 @@ def test_one_mesh_takes_the_quickest_method_and_a_given_one_stays(monkeypatch, t
     assert am.solve(pair).status.ok and am.solve_path(pair, am.LoadPath({"upper.left": [0.5, 1.0]})).complete
     given = am.solve(grids, am.SingleGrid(rtol=1e-3))
     assert given.solver_name == "SingleGrid(rtol=0.001)" and given.choice == "" and "solver=None" not in repr(given)
+
+
+def test_a_long_phase_is_named_and_compiling_is_an_entry_of_its_own(capsys, monkeypatch):
+    monkeypatch.setattr(record.threading, "Timer", lambda seconds, call, text: SimpleNamespace(
+        start=lambda: call(*text), cancel=lambda: None))
+
+    @kernel(cache=False)
+    def once(a):
+        return a + 1.0
+
+    run, before, begin = record.Run(unit=1, progress=True), compiling_seconds(), time.perf_counter()
+    with run.phase("setup"), run.phase("cycles"):
+        once(1.0)
+    passed = time.perf_counter() - begin
+    assert capsys.readouterr().err == "setting up the levels ...\n"
+    assert run.timings["compiling"] == compiling_seconds() - before > 0
+    assert sum(run.timings.values()) <= passed
 
 
 def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
