@@ -6,7 +6,6 @@ gain.
 
 from __future__ import annotations
 
-import os
 import sys
 import threading
 from collections.abc import Iterator
@@ -14,6 +13,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+
+from adaptmg._machine import after_fork
 
 
 class _Blas:
@@ -61,8 +62,7 @@ def _after_fork() -> None:
     _BLAS.__init__()
 
 
-if hasattr(os, "register_at_fork"):  # not on Windows
-    os.register_at_fork(after_in_child=_after_fork)
+after_fork(_after_fork)
 
 
 @contextmanager

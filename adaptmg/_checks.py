@@ -16,6 +16,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from adaptmg._machine import memory
+
 VAST, TINIEST = 1e40, 1e-40
 """Physical quantities are smaller than ``VAST``, moduli and lengths larger than ``TINIEST``: energies, products of some
 of them, are then in the range of double precision."""
@@ -185,12 +187,8 @@ def file_path(name: str, value: object) -> Path:
 
 def fits(name: str, size: float, words: str) -> None:
     """ValueError if ``size`` bytes are more than the main memory of the machine; ``words`` name their content."""
-    try:
-        memory = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return  # the system does not report it
-    if size > memory:
-        raise ValueError(f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory / 1e9:.3g} GB")
+    if size > memory():
+        raise ValueError(f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory() / 1e9:.3g} GB")
 
 
 def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: np.ndarray,

@@ -11,7 +11,6 @@ Gauss-Seidel over all even strips one after the other, then the odd ones. Small 
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order
 
 from adaptmg import _checks as checks
+from adaptmg._machine import after_fork
 from adaptmg._numba import kernel, read_only
 
 #: numbers read from which a kernel is cut into this many parts; the least number of strips that pays
@@ -89,8 +89,7 @@ def _serve(tasks: SimpleQueue[_Task | None]) -> None:
 
 
 _THREADS = _Threads()
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_THREADS.__init__)  # threads do not come along to a child
+after_fork(_THREADS.__init__)  # threads do not come along to a child
 
 
 def set_threads(threads: int) -> None:

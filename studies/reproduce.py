@@ -85,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     size.add_argument("--quick", action="store_true", help="smaller grids: 80 s on two cores, compiling included")
     size.add_argument("--full", action="store_true", help="larger grids and the benchmark: most of an hour")
     parser.add_argument("--workers", type=int, choices=range(1, 65), metavar="N",
-                        default=min(len(os.sched_getaffinity(0)), 8),
+                        default=min(os.cpu_count() or 1, 8),
                         help="studies at a time (default: one a core, here %(default)s)")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
                         help="where report.html, CSV files, figures and stores go (default: results)")

@@ -13,7 +13,6 @@ import os
 import platform
 import re
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
@@ -30,6 +29,7 @@ from PIL import Image
 
 from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
+from adaptmg._machine import memory, processor
 from adaptmg._text import printable
 from adaptmg.solver.result import versions
 from adaptmg.study.tables import cells, numeric
@@ -240,12 +240,8 @@ _PAGES.globals |= {"LONGEST": LONGEST, "IN_SIGHT": _IN_SIGHT, "IN_CARD": _IN_CAR
 
 def _machine() -> str:
     """Processor, cores, memory and system in a line."""
-    name, memory = platform.processor() or platform.machine(), ""
-    with suppress(OSError, ValueError, AttributeError):
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        name = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), name)
-        memory = f", {os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.0f} GiB"
-    return f"{name}, {os.cpu_count()} cores{memory}, {platform.system()} {platform.release()}"
+    return (f"{processor()}, {os.cpu_count()} cores, {memory() / 2**30:.0f} GiB, {platform.system()} "
+            f"{platform.release()}")
 
 
 def _made() -> dict[str, str]:

@@ -19,12 +19,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from adaptmg import _machine
+
 #: by dimension: what Netgen makes in about a quarter of an hour (0.2 ms a node in 2D, 0.7 ms in 3D)
 MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 #: by dimension, seconds: for the shape, and for each node (twenty times in 2D, five times in 3D what Netgen takes)
 LIMIT_S, _NODE_LIMIT_S = {2: 30.0, 3: 120.0}, {2: 4e-3, 3: 35e-3}
-# bytes of address space, if the system does not say how much main memory there is
-_MEMORY = 32e9
 
 _WORKER = Path(__file__).with_name("netgen_worker.py")
 # by the process that started them: after a fork the other one must not use them
@@ -44,13 +44,6 @@ def meshing_limit(nodes: float, dim: int) -> float:
     return LIMIT_S[dim] + _NODE_LIMIT_S[dim] * nodes
 
 
-def _main_memory() -> float:
-    try:
-        return max(4e9, float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, ValueError, OSError):
-        return _MEMORY
-
-
 class Netgen:
     """A process of :mod:`adaptmg.mesh.netgen_worker`."""
 
@@ -66,7 +59,7 @@ class Netgen:
 
     def __call__(self, function: str, *arguments: Any, seconds: float, memory: float | None = None) -> Any:
         """Call a function of the worker; NetgenFails with its message, NetgenUnfinished after ``seconds``."""
-        memory = _main_memory() if memory is None else memory
+        memory = max(4e9, _machine.memory()) if memory is None else memory
         late = threading.Event()
 
         def stop() -> None:

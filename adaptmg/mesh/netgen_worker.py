@@ -23,6 +23,7 @@ from netgen import occ
 from netgen.geom2d import SplineGeometry
 from netgen.occ import Dir, Face, OCCGeometry, Pnt, Solid, TopoDS_Shape, Vec, X, Y, Z
 
+from adaptmg._machine import limit_memory
 from adaptmg.problem.plane_domains import Box, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import (
     Ball,
@@ -442,7 +443,7 @@ def _serve() -> None:
     threading.Thread(target=listen, daemon=True).start()
     while True:
         name, arguments, memory = requests.get()
-        _limit_memory(memory)
+        limit_memory(memory)
         try:
             answer: tuple[bool, object] = (True, globals()[name](*arguments))
         except (ValueError, netgen.meshing.NgException, RuntimeError) as error:
@@ -451,18 +452,6 @@ def _serve() -> None:
             answer = (False, f"{type(error).__name__}: {error}")
         pickle.dump(answer, answers, protocol=pickle.HIGHEST_PROTOCOL)
         answers.flush()
-
-
-def _limit_memory(size: float) -> None:
-    try:
-        import resource
-    except ImportError:
-        return
-    # a file that breaks it down leaves no core
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    if hard == resource.RLIM_INFINITY or size < hard:
-        resource.setrlimit(resource.RLIMIT_AS, (int(size), hard))
 
 
 if __name__ == "__main__":

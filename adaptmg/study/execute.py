@@ -23,6 +23,7 @@ from functools import cache
 from pathlib import Path
 
 from adaptmg._fingerprint import Fingerprint, environment, fingerprint
+from adaptmg._machine import peak_memory, reset_peak_memory
 from adaptmg._text import printable
 from adaptmg.study.kept_files import Packed, pack
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, plain_results
@@ -73,7 +74,7 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
     """Compute one run; what the function raises, and results that cannot be stored, are part of the outcome.
     KeyboardInterrupt passes if ``interruptible``: it is Ctrl-C of the user."""
     started = now()
-    _reset_peak()
+    reset_peak_memory()
     begin = time.perf_counter()
     seconds, outcome = 0.0, Finished()
     try:
@@ -85,7 +86,7 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
             raise
         seconds = time.perf_counter() - begin
         outcome = Finished(error=error_text(error), traceback=_trace(error), exception=error)
-    return replace(outcome, seconds=seconds, peak_memory=_peak_memory(), started=started, machine=platform.node())
+    return replace(outcome, seconds=seconds, peak_memory=peak_memory(), started=started, machine=platform.node())
 
 
 def _sorted_out(returned: object, point: Point) -> Finished:
@@ -117,23 +118,6 @@ def _trace(error: BaseException) -> str:
     except BaseException as worse:
         text = f"<its traceback raises {type(worse).__name__}>"
     return bounded(printable(text), MOST_TRACEBACK)
-
-
-def _reset_peak() -> None:
-    """Count the peak of memory from here, where the system allows it."""
-    try:
-        with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
-            file.write("5")
-    except OSError:
-        return
-
-
-def _peak_memory() -> int:
-    try:
-        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
-        return 1024 * int(status.partition("VmHWM:")[2].split(maxsplit=1)[0])
-    except (OSError, ValueError, IndexError):
-        return 0
 
 
 @cache
