@@ -29,6 +29,7 @@ from adaptmg._numba import kernel, read_only
 
 #: numbers read from which a kernel is cut into this many parts; the least number of strips that pays
 LARGE, PARTS, FEWEST = 1_000_000, 16, 4
+_MOST = 1024  # threads; a million would take minutes to start
 
 
 class _Task:
@@ -102,7 +103,7 @@ def set_threads(threads: int) -> None:
     Parameters
     ----------
     threads : int
-        At least 1; more than the processors that the process may use gain nothing.
+        1 to 1024; more than the processors that the process may use gain nothing.
 
     Raises
     ------
@@ -113,7 +114,7 @@ def set_threads(threads: int) -> None:
     --------
     >>> am.set_threads(1)
     """
-    threads = checks.integer("threads", threads, 1)
+    threads = checks.integer("threads", threads, 1, _MOST)
     if threads > 1 and _tasks_at_a_time() > 1:
         raise ValueError(f"threads must be 1 in a worker that runs {_tasks_at_a_time()} tasks at the same time, got "
                          f"{threads}: start workers with one thread each")

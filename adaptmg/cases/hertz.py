@@ -291,6 +291,7 @@ def line_contact_meshes(problem: ContactProblem, *, finest: float | None = None,
         coarsest. Default 0.06, in 3D 0.25.
     """
     from adaptmg.mesh import SizeNear, sized
+    from adaptmg.mesh.netgen_guard import MAX_NODES
 
     default_finest, default_levels, default_grading = (1 / 40, 5, 0.06) if problem.dim == 2 else (1 / 6, 3, 0.25)
     finest = checks.positive("finest", default_finest if finest is None else finest)
@@ -307,6 +308,13 @@ def line_contact_meshes(problem: ContactProblem, *, finest: float | None = None,
                              f"fewer levels or a smaller {name}")
     a, parts = problem.reference["half_width"], problem.domain.parts.values()
     extent, meshes = float(max(np.max(part.upper - part.lower) for part in parts)), []
+    # a quarter of the sizes around the middle, before Netgen works for hours
+    r = np.geomspace(1e-3 * a, extent, 1000)
+    h = np.minimum(finest * a + grading * np.maximum(r - 1.3 * a, 0.0), _COARSE * grading * extent)
+    nodes = float(np.sum(np.diff(r) * ((np.pi / 2) * r**(problem.dim - 1) / h**problem.dim)[1:]))
+    if not nodes <= MAX_NODES[problem.dim]:
+        raise ValueError(f"finest and grading must be larger: {finest:g} and {grading:g} ask for about {nodes:.1g} "
+                         f"nodes, {MAX_NODES[problem.dim]:.0e} are possible")
     for level in reversed(range(levels)):
         scale = 2.0**level
         steep = min(1.0, grading * scale)

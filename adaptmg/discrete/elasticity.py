@@ -89,8 +89,6 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     other displacement. Without it the matrix is finite still.
     """
     materials = body_materials(mesh, material)
-    if not mesh.sound:
-        _check_numbers(mesh)
     dim = mesh.dim
     indptr, indices, *of_nodes = _pattern(mesh.elements, mesh.n_nodes)
     if not (indptr[1:] > indptr[:-1]).all():
@@ -132,18 +130,6 @@ def _pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray
     indices = np.empty(indptr[-1], dtype=np.int32)
     in_parts(find_neighbours, n_nodes, 4 * elements.size, *given, indices)
     return indptr, indices, start, listed
-
-
-def _check_numbers(mesh: MeshArrays) -> None:
-    """Numbers out of range would make the kernels read and write elsewhere."""
-    for name, numbers, count in (("elements", mesh.elements, mesh.n_nodes),
-                                 ("element_body", mesh.element_body, len(mesh.bodies))):
-        if not numbers.size or numbers.min() < 0 or numbers.max() >= count:
-            found = f"{numbers.min()} to {numbers.max()}" if numbers.size else "none"
-            raise ValueError(f"mesh.{name} must be numbers from 0 to {count - 1}, got {found}")
-    if mesh.elements.shape[1] != mesh.dim + 1 or len(mesh.element_body) != len(mesh.elements):
-        raise ValueError(f"a {mesh.dim}D mesh needs elements (n, {mesh.dim + 1}) and element_body (n,), got "
-                         f"{mesh.elements.shape} and {mesh.element_body.shape}")
 
 
 def _clear(first: int, last: int, data: np.ndarray) -> None:

@@ -98,6 +98,12 @@ class MeshArrays:
         A straight ngsolve.Mesh with the same node and element numbers, which meshes made by adaptmg build when it is
         first read. Neither saved nor pickled: :func:`adaptmg.mesh.with_source` makes a new one.
 
+    Raises
+    ------
+    TypeError, ValueError
+        On wrong shapes and types, points that are not finite, no elements, numbers of nodes, boundaries or bodies that
+        do not exist. :func:`adaptmg.mesh.check_mesh` checks the rest.
+
     Attributes
     ----------
     sound : bool
@@ -144,6 +150,7 @@ class MeshArrays:
         object.__setattr__(self, "element_body", _frozen("element_body", body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
+        _check_shapes(self)
 
     def __repr__(self) -> str:
         kind = "triangles" if self.dim == 2 else "tetrahedra"
@@ -196,6 +203,34 @@ class MeshArrays:
         """Signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
         return np.concatenate(in_parts(_measures_of_part, len(self.elements), 8 * len(self.elements), self.points,
                                        self.elements))
+
+
+def _check_shapes(mesh: MeshArrays) -> None:
+    """Compiled code follows node numbers wherever they point."""
+    points, n = mesh.points, len(mesh.points) if mesh.points.ndim else 0
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
+    if not mesh.elements.size:
+        raise ValueError("the mesh has no elements")
+    for name, width in (("elements", mesh.dim + 1), ("facets", mesh.dim)):
+        array = getattr(mesh, name)
+        if array.ndim != 2 or array.shape[1] != width:
+            raise ValueError(f"{name} must have shape (n, {width}) in {mesh.dim}D, got {array.shape}")
+        if len(array) and not 0 <= array.min() <= array.max() < n:
+            bad = int(np.argmax(((array < 0) | (array >= n)).any(axis=1)))
+            raise ValueError(f"{name}[{bad}] = {array[bad].tolist()} names a node that does not exist; "
+                             f"there are {n} nodes, counted from 0")
+    for name, count, what in (("facet_labels", len(mesh.facets), "boundaries"),
+                              ("element_body", len(mesh.elements), "bodies")):
+        index, names = getattr(mesh, name), getattr(mesh, what)
+        if index.shape != (count,):
+            raise ValueError(f"{name} must have shape ({count},), got {index.shape}")
+        if count and not 0 <= index.min() <= index.max() < len(names):
+            raise ValueError(f"{name} must index {what} ({len(names)} names), got {index.min()} to {index.max()}")
+        if len(set(names)) < len(names):
+            raise ValueError(f"{what} must be distinct, got {names}")
 
 
 def _measures_of_part(first: int, last: int, points: np.ndarray, elements: np.ndarray) -> np.ndarray:

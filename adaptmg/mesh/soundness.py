@@ -45,9 +45,9 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
     Raises
     ------
     TypeError, ValueError
-        If it is not MeshArrays. No elements; wrong shapes; a node number out of range; an inverted or degenerate
-        element; an unused node; a fold (two neighbours on the same side of their facet); a hole; a boundary facet
-        inside the mesh, given twice, or oriented inwards; a missing boundary; a body of several pieces.
+        If it is not MeshArrays. An inverted or degenerate element; an unused node; a fold (two neighbours on the same
+        side of their facet); a hole; a boundary facet inside the mesh, given twice, or oriented inwards; a missing
+        boundary; a body of several pieces.
 
     Examples
     --------
@@ -58,7 +58,8 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
     if not isinstance(mesh, MeshArrays):
         raise TypeError(f"mesh must be MeshArrays, got {type(mesh).__name__}; as_mesh converts")
     if not mesh.sound:
-        _check_shapes(mesh)
+        if not len(mesh.facets):
+            raise ValueError("the mesh has no boundary facets")
         _check_elements(mesh)
         table = facet_table(mesh.elements, mesh.n_nodes)
         _check_closed(mesh, table)
@@ -84,33 +85,6 @@ def check_stranger(mesh: MeshArrays) -> MeshArrays:
 def _at(points: np.ndarray) -> str:
     """Position for a message: the mean of some points."""
     return "(" + ", ".join(f"{c:.6g}" for c in points.mean(axis=0)) + ")"
-
-
-def _check_shapes(mesh: MeshArrays) -> None:
-    points, dim = mesh.points, mesh.points.shape[-1]
-    if points.ndim != 2 or dim not in (2, 3):
-        raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
-    if not np.isfinite(points).all():
-        raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
-    for name, width in (("elements", dim + 1), ("facets", dim)):
-        array = getattr(mesh, name)
-        if len(array) == 0:
-            raise ValueError(f"the mesh has no {'elements' if name == 'elements' else 'boundary facets'}")
-        if array.ndim != 2 or array.shape[1] != width:
-            raise ValueError(f"{name} must have shape (n, {width}) in {dim}D, got {array.shape}")
-        if array.min() < 0 or array.max() >= len(points):
-            bad = int(np.argmax(((array < 0) | (array >= len(points))).any(axis=1)))
-            raise ValueError(f"{name}[{bad}] = {array[bad].tolist()} names a node that does not exist; "
-                             f"there are {len(points)} nodes, counted from 0")
-    for name, count, names in (("facet_labels", len(mesh.facets), mesh.boundaries),
-                               ("element_body", len(mesh.elements), mesh.bodies)):
-        index, what = getattr(mesh, name), "boundaries" if name == "facet_labels" else "bodies"
-        if index.shape != (count,):
-            raise ValueError(f"{name} must have shape ({count},), got {index.shape}")
-        if index.min() < 0 or index.max() >= len(names):
-            raise ValueError(f"{name} must index {what} ({len(names)} names), got {index.min()} to {index.max()}")
-        if len(set(names)) < len(names):
-            raise ValueError(f"{what} must be distinct, got {names}")
 
 
 def _check_elements(mesh: MeshArrays) -> None:

@@ -266,6 +266,7 @@ test_refused = refused(
     (lambda: cases.patch_mesh(cases.two_block_patch(slope=5), matching=True), "for flat blocks"),
     (lambda: cases.line_contact_meshes(cases.greco_bar()), "no half_width in its reference"),
     (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), finest=0.6), "finest must be at most 0.5"),
+    (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), finest=1e-12), "finest and grading must be larger"),
     (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), levels=8), "take fewer levels"),
     (lambda: cases.line_contact_meshes(cases.hertz_cylinder(), grading=0.2), r"grading \* 2.* must be at most 1"),
     (lambda: cases.line_contact_meshes(replace(cases.hertz_cylinder(), domain=None)), "or no domain"),
