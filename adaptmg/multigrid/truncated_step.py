@@ -38,6 +38,7 @@ class StepState:
     changed: int  # contact nodes whose status changed
     residual: float  # Euclidean norm of the natural residual, N
     reactions: float  # norm of the contact forces, N
+    energy: float  # u'Au, N m; NaN: not asked
 
 
 class TruncatedStep:
@@ -57,12 +58,14 @@ class TruncatedStep:
         self._frozen = False
         self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
 
-    def step(self, trusted: Callable[[np.ndarray], float]) -> StepState:
-        """Do one step; ``trusted`` gives the limit of :meth:`linearise` for the smoothed unknowns."""
+    def measure(self, safe: bool = False, trusted: Callable[[np.ndarray], float] | None = None,
+                with_energy: bool = False) -> StepState:
+        """Smooth and linearise, the first half of a step; :meth:`correct` is the other one. ``trusted`` gives the limit
+        of :meth:`linearise` for the smoothed unknowns."""
         self.smooth()
-        state = self.linearise(safe=False, trusted=trusted(self.unknowns))
-        self.correct()
-        return state
+        # u'Au = u'f - u'r; the linearisation truncates r
+        energy = _product(self.unknowns, self.load) - _product(self.unknowns, self.residual) if with_energy else np.nan
+        return self.linearise(safe, np.inf if trusted is None else trusted(self.unknowns), energy)
 
     def smooth(self) -> None:
         """Improve the iterate locally; leaves f - A u in ``residual``."""
@@ -72,7 +75,7 @@ class TruncatedStep:
         if self.motions is not None:
             self.motions.settle(self.unknowns, [unknowns for unknowns, _ in self._past], self.residual)
 
-    def linearise(self, safe: bool, trusted: float = np.inf) -> StepState:
+    def linearise(self, safe: bool, trusted: float, energy: float) -> StepState:
         """Update the contact status, truncate the residual and, where the status has changed, the coarse matrices.
         ``safe`` freezes g in the matrices, which keeps them symmetric; a residual above ``trusted`` (N) does the
         same."""
@@ -88,7 +91,7 @@ class TruncatedStep:
             self.cycle.renew(self.number)
             self._past.clear()
             self._frozen = frozen
-        return StepState(status.changed, residual, float(np.sqrt(status.reactions)))
+        return StepState(status.changed, residual, float(np.sqrt(status.reactions)), energy)
 
     def correct(self) -> float:
         """Correct, project and search; returns the energy of the coarse correction, N m. It estimates the energy of the
@@ -104,7 +107,7 @@ class TruncatedStep:
             self._search(proposed, before)
         smoothed = [] if combined is self._unknowns else [(self._unknowns, self._restricted)]
         self._past = [(combined, load), *smoothed, *self._past][:self.depth]
-        self._unknowns, self._corrected, self.smoothed = proposed, True, combined
+        self._unknowns, self._corrected = proposed, True
         self.cycle.recorder.visit(self.number, "prolong")
         return energy
 
@@ -176,10 +179,6 @@ class TruncatedStep:
             shorten(low, self.unknowns, proposed)
             self.contact.values[:] = before
             self.contact.project(proposed)
-
-    def energy(self) -> float:
-        """u'Au - u'r = u'f at the present unknowns and residual f - A u (before :meth:`linearise`), N m."""
-        return _product(self.unknowns, self.load) - _product(self.unknowns, self.residual)
 
     def distance(self, other: np.ndarray) -> float:
         return float(np.sqrt(max(self._energy_product(other), 0.0)))

@@ -39,7 +39,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.residuals import natural_residual, residual
 from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, local_system
 from adaptmg.solver.factorisation import Condensed, condense, condense_coarsest
-from adaptmg.solver.iterate import IterateTest, iterate
+from adaptmg.solver.iterate import Measure, State, StopTest, iterate
 from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.transfer.galerkin import without_fixed
@@ -110,9 +110,9 @@ class ActiveSet:
                 run.visit(number, "start")
             with run.phase("setup"):
                 local = local_system(level.discrete)
-            newton = _Newton(self, local, run, number, None if start is None else local.to_local(start))
-            stop = _NewtonTest(local, self.rtol, self.max_steps, run if finest else None,
-                               displacement=local.to_cartesian if finest else None)
+            newton = _Newton(self, local, run, number, None if start is None else local.to_local(start),
+                             measure=Measure(local, run if finest else None))
+            stop = _NewtonTest(self.rtol, self.max_steps, newton.shortfall if finest else None, stalled=None)
             if finest:
                 run.start_work_units = run.work_units
             status = iterate(newton, stop, run if finest else None)
@@ -120,26 +120,25 @@ class ActiveSet:
         return Outcome(start, status, newton.cycles, self.rtol, stop.error_estimate, stop.rate)
 
 
-class _NewtonTest(IterateTest):
+class _NewtonTest(StopTest):
     """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none. As
     long as the contact status changes, nodes may follow one another: many such steps may be left."""
 
-    stalled, settled = False, False
     UNSETTLED = 10.0  # factor on the last step while the status changes
 
-    def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
-        super().take_residual(residual, forces, floor, idle)
+    def judge(self, state: State) -> None:
+        super().judge(state)
         if self.met and self.error_estimate == 0.0:
             return  # nothing strains
         self.error_estimate = np.inf
         if self.changes:
             change = self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
-            self.error_estimate = self._caution * change * (1.0 if self.settled else self.UNSETTLED)
+            self.error_estimate = self._caution * change * (1.0 if state.settled else self.UNSETTLED)
         self.met = self._small_enough()
 
 
 class _Newton:
-    """The Newton steps on one level; see :class:`~adaptmg.solver.iterate.Iteration`."""
+    """The Newton steps on one level."""
 
     #: springs relative to the diagonal: the first, the stiffest, and the weakest that count; factors by which they
     #: become weaker and stiffer; the factor by which a problem with springs reduces the residual, and its most steps
@@ -152,8 +151,8 @@ class _Newton:
     FACTOR, SMALLEST_FACTOR = 0.1, 1e-4
 
     def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int,
-                 start: np.ndarray | None, condensed: Condensed | None = None) -> None:
-        self.options, self.local, self.run, self.level = options, local, run, level
+                 start: np.ndarray | None, measure: Measure, condensed: Condensed | None = None) -> None:
+        self.options, self.local, self.run, self.level, self._measure = options, local, run, level, measure
         self.equations_of: LinearSteps = (CondensedSteps(local, run, condensed) if options.condensed
                                           else SparseSteps(local, options.linear, run))
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
@@ -163,23 +162,25 @@ class _Newton:
         # springs, what they tie the contact nodes to, its residual, and the steps since
         self._spring, self._stiffness, self._tries = 0.0, self.SPRING, 0
         self._centre, self._size = None, np.inf
+        self._equations: Linearised | None = None
 
-    def start(self) -> None:
-        """Nothing: the start is measured."""
+    def shortfall(self, rtol: float) -> float:
+        return self.run.shortfall(self.local.to_cartesian(self.unknowns), rtol)
 
-    def measure(self, stop: _NewtonTest) -> None:
+    def step(self) -> State | Status:
+        status = None if self._equations is None else self._advance()
+        if status is not None:
+            return status
         residual = self._residual()
         tied = residual if self._centre is None else self._tied(residual)
         self._decide(tied, hold=self._hold_first and self.cycles == 0)
+        active, slip = self._equations.active, self._equations.slip
         # with springs a short step does not bound the error
-        stop.settled = not self._spring and self._equations.key == self._last
-        stop.take(self.unknowns, residual)
+        return self._measure(self.cycles, self.unknowns, residual,
+                             settled=not self._spring and self._equations.key == self._last,
+                             active=int(active.sum()), slip=int((active & slip).sum()))
 
-    def row(self, stop: _NewtonTest) -> dict[str, float]:
-        active = self._equations.active
-        return {"active": int(active.sum()), "slip": int((active & self._equations.slip).sum()), **stop.measures()}
-
-    def step(self, stop: _NewtonTest) -> Status | None:
+    def _advance(self) -> Status | None:
         """A step, shorter where a status comes back; with springs where it does so again."""
         key = self._equations.key
         repeated = (key in self._seen and key != self._last) or self.cycles % self.LONG == self.LONG - 1
@@ -270,8 +271,8 @@ def coarsest_solution(problem: DiscreteProblem, rtol: float, unit: int) -> tuple
     """Displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular, and the number of its steps."""
     options, condensed = ActiveSet(rtol=rtol), condense_coarsest(problem)
     local = condensed.full
-    newton = _Newton(options, local, Run(unit=unit), 0, None, condensed)
-    iterate(newton, _NewtonTest(local, rtol, options.max_steps), None)
+    newton = _Newton(options, local, Run(unit=unit), 0, None, Measure(local), condensed)
+    iterate(newton, _NewtonTest(rtol, options.max_steps, stalled=None))
     return local.to_cartesian(newton.unknowns), newton.cycles
 
 

@@ -1,4 +1,4 @@
-r"""iterate: the one loop over cycles, sweeps or Newton steps of every method; StopTest: when it ends.
+r"""iterate: the one loop over cycles, sweeps or Newton steps of every method; StopTest and ChangeTest: when it ends.
 
 With :math:`\delta_k` the A-norm of what step k changed, or an estimate of it, the rate is
 :math:`\rho_k = \delta_k/\delta_{k-1}`, and :math:`\rho` the larger of the last ratio and the geometric mean of the last
@@ -10,6 +10,7 @@ from the solution.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -22,42 +23,44 @@ from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_no
 from adaptmg.solver.record import Run, Status
 
 
+@dataclass(frozen=True, eq=False)
+class State:
+    """An iterate as a step leaves it."""
+
+    cycles: int  # cycles, sweeps or steps done
+    residual: float | None = None  # Euclidean norm of the natural residual, N; None: not computed
+    forces: float = 0.0  # norm of the acting forces, N
+    size: float = 0.0  # A-norm of the displacement
+    floor: float = 0.0  # norm of D u, N: times the unit of rounding the least residual; 0: not asked
+    idle: bool = False  # whether the acting forces are mere rounding: nothing strains
+    change: float | None = None  # A-norm of what the step changed; None: unknown
+    relative_change: float | None = None  # Euclidean, relative to the iterate
+    settled: bool = True  # whether the contact status has come to rest
+    columns: dict[str, float] = field(default_factory=dict)  # further ones of the history
+
+
 class Iteration(Protocol):
     """What a method offers to the loop; it holds its unknowns."""
 
-    cycles: int  # cycles, sweeps or steps done
-
-    def start(self) -> None:
-        """Do what comes before the first measurement: a smoothing, the first sweeps, or nothing."""
-
-    def measure(self, stop: StopTest) -> None:
-        """Hand the residual and change of the present iterate to the test."""
-
-    def row(self, stop: StopTest) -> dict[str, float] | None:
-        """The row of the history; None for no row."""
-
-    def step(self, stop: StopTest) -> Status | None:
-        """Do the next step; a status where the method gives up."""
+    def step(self) -> State | Status:
+        """Do the next step (the first one: what comes before the first measurement); a status where the method gives
+        up."""
 
 
 def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status:
-    """Measure, judge and step until the test or the method ends it."""
-    method.start()
+    """Step and judge until the test or the method ends it."""
     while True:
-        method.measure(stop)
-        row = None if run is None else method.row(stop)
-        if row is not None:
-            run.record(cycle=method.cycles, **row)
-        status = stop.verdict(method.cycles)
-        if status is None:
-            status = method.step(stop)
+        state = method.step()
+        status = state if isinstance(state, Status) else stop.take(state, run)
         if status is not None:
             given_up = status in (Status.STALLED, Status.LIMIT)
-            return Status.CONVERGED if given_up and stop.certified(method.cycles) else status
+            return Status.CONVERGED if given_up and stop.certified() else status
 
 
 class StopTest:
-    """Judges an iteration by its estimated error and residual."""
+    """Judges an iteration by its estimated error and residual. ``shortfall`` says by how many times the certificate
+    finds the last iterate short of a tolerance, ``stalled`` what an iteration is called that no longer improves (None:
+    it goes on)."""
 
     #: the natural residual must fall below this multiple of rtol
     RESIDUAL_FACTOR = 10.0
@@ -65,40 +68,46 @@ class StopTest:
     ROUNDING_LIMIT = 1e-9
     #: iterates without a new smallest change, or residual, after which an iteration counts as stalled
     PATIENCE = 60
-    #: what a stalled iteration is called
-    STALLED = Status.STALLED
 
-    def __init__(self, rtol: float, limit: float, sizes: Sizes) -> None:
-        self.rtol, self.limit, self.sizes = rtol, limit, sizes
-        self._caution, self._asked, self._rounding = 1.0, -1, False
+    def __init__(self, rtol: float, limit: float, shortfall: Callable[[float], float] | None = None,
+                 stalled: Status | None = Status.STALLED) -> None:
+        self.rtol, self.limit, self._ask, self._stalled = rtol, limit, shortfall, stalled
+        self._caution, self._asked, self._rounding, self.cycles = 1.0, -1, False, 0
         self.changes: list[float] = []
         self.size, self.residual, self.error_estimate, self.met = 0.0, np.inf, np.inf, False
         self._last = np.nan
 
-    def verdict(self, cycles: int) -> Status | None:
-        """How the iteration ends after this number of cycles; None if it goes on."""
-        if self.met and not self.doubted(cycles):
+    def take(self, state: State, run: Run | None = None) -> Status | None:
+        """Take a state and record it; how the iteration ends, None if it goes on."""
+        self.judge(state)
+        if run is not None:
+            run.record(cycle=state.cycles, **self.measures() | state.columns)
+        return self.verdict()
+
+    def judge(self, state: State) -> None:
+        """Estimate the error from the norms of a state. A residual at the rounding of the floor is the least; ``idle``:
+        so are the forces."""
+        self.cycles, self.size = state.cycles, state.size
+        if state.change is not None:
+            self.changes.append(state.change)
+        residual = state.residual
+        if state.idle and residual <= ROUNDING * state.floor:
+            residual = 0.0
+        self.residual = 0.0 if residual == 0 else residual / (state.forces or residual)  # interference: no forces yet
+        self._last = residual
+        self._rounding = self.at_rounding(state.floor)
+        self.error_estimate = self.residual if self._rounding else self._caution * self._estimate()
+        self.met = self._rounding or self._small_enough()
+
+    def verdict(self) -> Status | None:
+        """How the iteration ends; None if it goes on."""
+        if self.met and not self.doubted():
             return Status.CONVERGED
         if self.diverged:
             return Status.DIVERGED
-        if self.stalled:
-            return self.STALLED
-        return Status.LIMIT if cycles >= self.limit else None
-
-    def idle(self, forces: float, floor: float, unknowns: np.ndarray) -> bool:
-        """Whether the acting forces (their norm, N) are mere rounding; ``floor`` as of :meth:`at_rounding`."""
-        return self.sizes.nothing_strains(forces, ROUNDING * floor, unknowns)
-
-    def take_residual(self, residual: float, forces: float, floor: float, idle: bool = False) -> None:
-        """Take the norms of the natural residual and of the acting forces, N, and estimate the error. A residual at the
-        rounding of ``floor`` (:meth:`at_rounding`) is the least; ``idle``: so are the forces."""
-        if idle and residual <= ROUNDING * floor:
-            residual = 0.0
-        self.residual = 0.0 if residual == 0 else residual / (forces or residual)  # an interference fit: no forces yet
-        self._last = residual
-        self._rounding = self.at_rounding(floor)
-        self.error_estimate = self.residual if self._rounding else self._caution * self._estimate()
-        self.met = self._rounding or self._small_enough()
+        if self._stalled is not None and self.stalled:
+            return self._stalled
+        return Status.LIMIT if self.cycles >= self.limit else None
 
     def at_rounding(self, floor: float) -> bool:
         """Whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N. A large
@@ -109,13 +118,13 @@ class StopTest:
     def residual_met(self) -> bool:
         return self.residual <= self.RESIDUAL_FACTOR * self.rtol
 
-    def doubted(self, cycles: int) -> bool:
-        """Whether the certificate contradicts a test that is met after this number of cycles."""
+    def doubted(self) -> bool:
+        """Whether the certificate contradicts a test that is met."""
         if self._rounding:
             return False
-        if self.error_estimate > self.rtol and cycles < 1.5 * self._asked:
+        if self.error_estimate > self.rtol and self.cycles < 1.5 * self._asked:
             return True
-        ratio, self._asked = self.shortfall(), cycles
+        ratio, self._asked = self.shortfall(), self.cycles
         if ratio is None:
             return False
         if ratio == 0.0:
@@ -126,12 +135,12 @@ class StopTest:
 
     def shortfall(self) -> float | None:
         """By how many times the certificate finds the last iterate short of rtol; None if it is not asked."""
-        return None
+        return None if self._ask is None else self._ask(self.rtol)
 
-    def certified(self, cycles: int) -> bool:
+    def certified(self) -> bool:
         """Whether the certificate, if it was not asked, finds the last iterate good enough, whatever the estimate says:
         near rounding no rate shows that any more, and after a refusal it is cautious."""
-        if cycles == self._asked or not self.residual_met or self.shortfall() != 0.0:
+        if self.cycles == self._asked or not self.residual_met or self.shortfall() != 0.0:
             return False
         self.error_estimate = min(self.error_estimate, self.rtol)
         return True
@@ -198,66 +207,110 @@ def true_error(error: np.ndarray, matrix: sparse.sparray | np.ndarray, problem: 
         return energy_norm(error, matrix @ error) / size if size > 0 else np.nan
 
 
-class IterateTest(StopTest):
-    """Watches iterates at which the residual is known."""
+class ChangeTest(StopTest):
+    """The paper's test: the Euclidean change in a cycle or sweep alone, relative to the iterate. The residual at the
+    end confirms convergence or not (:meth:`confirmed`)."""
 
-    def __init__(self, local: LocalProblem, rtol: float, limit: float, run: Run | None = None,
-                 reference: np.ndarray | None = None, sizes: Sizes | None = None,
-                 displacement: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
-        super().__init__(rtol, limit, Sizes(local.discrete, local.frames) if sizes is None else sizes)
-        self._displacement = displacement
+    relative_change = np.inf
+
+    def take(self, state: State, run: Run | None = None) -> Status | None:
+        self.cycles, self.relative_change = state.cycles, state.relative_change
+        if not self.relative_change < np.inf:
+            return Status.DIVERGED
+        if state.residual is not None:
+            self._record(state, run)
+        if not self.relative_change > self.rtol:
+            return Status.CONVERGED
+        return Status.LIMIT if self.cycles >= self.limit else None
+
+    def confirmed(self, status: Status, state: State, run: Run) -> Status:
+        """The status, unless the residual of the last state contradicts it."""
+        self._record(state, run)
+        return Status.STALLED if status.ok and not self.residual_met else status
+
+    def _record(self, state: State, run: Run) -> None:
+        self.judge(state)
+        run.record(cycle=self.cycles, relative_change=self.relative_change, **self.measures() | state.columns)
+
+
+class Measure:
+    """Makes states of the iterates of a problem whose residual is known; ``reference`` (n_dofs,) is the solution."""
+
+    def __init__(self, local: LocalProblem, run: Run | None = None, reference: np.ndarray | None = None,
+                 sizes: Sizes | None = None) -> None:
+        self.sizes = Sizes(local.discrete, local.frames) if sizes is None else sizes
         if reference is None and run is not None and run.reference is not None:
             reference = local.to_local(run.reference)
         self.local, self.run, self.reference = local, run, reference
         blocks = local.system.diagonal.reshape(-1, local.system.dim, local.system.dim)
         self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
-        self._unknowns: np.ndarray | None = None
-        self._r: np.ndarray | None = None
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
 
-    def shortfall(self) -> float | None:
-        return None if self._displacement is None else self.run.shortfall(self._displacement(self._unknowns), self.rtol)
-
-    def take(self, unknowns: np.ndarray, r: np.ndarray) -> None:
-        """Take an iterate and its residual r = b - A w (n_dofs,)."""
-        system = self.local.system
-        vector = natural_residual(system, self.local.contact, self.local.load, unknowns, r)
+    def __call__(self, cycles: int, unknowns: np.ndarray, r: np.ndarray, settled: bool = True,
+                 **columns: float) -> State:
+        """The state of an iterate and its residual r = b - A w (n_dofs,)."""
+        system, sizes = self.local.system, self.sizes
+        natural = euclidean_norm(natural_residual(system, self.local.contact, self.local.load, unknowns, r))
         reactions = r.reshape(-1, system.dim)[system.nodes]
-        scale = self.sizes.forces(unknowns, euclidean_norm(reactions.reshape(-1)))
-        energy = float(np.einsum("i,i->", unknowns, self.local.load - r))
-        self.size = self.sizes.norm(unknowns, energy)
-        if self._unknowns is not None:
-            self.changes.append(energy_norm(unknowns - self._unknowns, self._r - r))
-        self._unknowns, self._r = unknowns.copy(), r.copy()
-        floor, size = euclidean_norm(self._diagonal * unknowns), euclidean_norm(vector)
-        self.take_residual(size, scale, floor, size <= ROUNDING * floor and self.idle(scale, floor, unknowns))
-
-    def measures(self) -> dict[str, float]:
-        values = super().measures()
-        if self.reference is not None and self._unknowns is not None:
-            values["true_error"] = true_error(self._unknowns - self.reference, self.local.system.matrix,
-                                              self.local.discrete, self.run)
-        return values
+        forces = sizes.forces(unknowns, euclidean_norm(reactions.reshape(-1)))
+        size = sizes.norm(unknowns, float(np.einsum("i,i->", unknowns, self.local.load - r)))
+        change = None if self._last is None else energy_norm(unknowns - self._last[0], self._last[1] - r)
+        self._last = unknowns.copy(), r.copy()
+        floor = euclidean_norm(self._diagonal * unknowns)
+        idle = natural <= ROUNDING * floor and sizes.nothing_strains(forces, ROUNDING * floor, unknowns)
+        if self.reference is not None:
+            columns["true_error"] = true_error(unknowns - self.reference, system.matrix, self.local.discrete, self.run)
+        return State(cycles, natural, forces, size, floor, idle, change, settled=settled, columns=columns)
 
 
-class ChangeTest(IterateTest):
-    """The paper's test: the Euclidean change in a cycle or sweep alone, relative to the iterate. The residual at the
-    end confirms convergence or not (:meth:`confirmed`)."""
+class Smoothing:
+    """Sweeps or cycles from ``unknowns``, in place, measured by the residual after each smoothing."""
 
-    relative_change, finite = np.inf, True
+    def __init__(self, measure: Measure, unknowns: np.ndarray) -> None:
+        self.measure, self.unknowns, self.cycles = measure, unknowns, 0
+        self._residual: np.ndarray | None = None
 
-    def take_change(self, before: np.ndarray, unknowns: np.ndarray) -> None:
-        """Take two iterates (n_dofs,), one after the other."""
-        size = euclidean_norm(unknowns)
-        self.finite = bool(np.isfinite(size))
-        self.relative_change = euclidean_norm(unknowns - before) / size if size > 0 else 0.0
+    def smooth(self) -> int:
+        """Smooth; returns the sweeps that count."""
+        raise NotImplementedError
 
-    def verdict(self, cycles: int) -> Status | None:
-        if not (self.finite and self.relative_change < np.inf):
-            return Status.DIVERGED
-        if not self.relative_change > self.rtol:
-            return Status.CONVERGED
-        return Status.LIMIT if cycles >= self.limit else None
+    def residual(self) -> np.ndarray:
+        """b - A w (n_dofs,)."""
+        raise NotImplementedError
 
-    def confirmed(self, status: Status) -> Status:
-        """The status, unless the residual of the last iterate taken contradicts it."""
-        return Status.STALLED if status.ok and not self.residual_met else status
+    def correct(self, r: np.ndarray) -> int:
+        """Correct an iterate with residual r; returns the cycles that count."""
+        raise NotImplementedError
+
+    def step(self) -> State | Status:
+        if self._residual is not None:
+            self.cycles += self.correct(self._residual)
+        self.cycles += self.smooth()
+        self._residual = self.residual()
+        return self.measure(self.cycles, self.unknowns, self._residual)
+
+
+class WholeSteps:
+    """The same measured by what each sweep or cycle changes, the paper's test at the end of step g."""
+
+    def __init__(self, smoothing: Smoothing, corrects: bool) -> None:
+        self.smoothing, self.corrects = smoothing, corrects
+
+    def step(self) -> State:
+        one, state = self.smoothing, State(0)
+        before = one.unknowns.copy()
+        one.cycles += one.smooth()
+        if self.corrects:
+            r = one.residual()
+            state = one.measure(0, one.unknowns, r)
+            one.cycles += one.correct(r)
+        size = euclidean_norm(one.unknowns)
+        change = euclidean_norm(one.unknowns - before) / size if size > 0 else 0.0
+        return replace(state, cycles=one.cycles, relative_change=change if np.isfinite(size) else np.inf)
+
+    def run(self, stop: ChangeTest, run: Run) -> Status:
+        """Iterate; the residual of the last iterate confirms the status or not."""
+        status, one = iterate(self, stop, run), self.smoothing
+        if status is Status.DIVERGED:
+            return status
+        return stop.confirmed(status, one.measure(one.cycles, one.unknowns, one.residual()), run)

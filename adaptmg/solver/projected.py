@@ -23,8 +23,8 @@ from adaptmg.multigrid.cycle import (
 from adaptmg.smoother.gauss_seidel import Smoother
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
 from adaptmg.solver.factorisation import Condensed, condense
-from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
-from adaptmg.solver.record import Outcome, Run, Status
+from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, StopTest, WholeSteps, iterate
+from adaptmg.solver.record import Outcome, Run
 
 
 @dataclass(eq=False, kw_only=True)
@@ -87,8 +87,7 @@ class ProjectedRun:
                 if level == 0:
                     unknowns = self._solve_coarsest(multigrid, start)
                 elif start.cycles == "complete":
-                    iterate(_Cycles(multigrid, self.cycle, local, unknowns),
-                            IterateTest(local, start.rtol, self.max_cycles))
+                    iterate(_Cycles(multigrid, self.cycle, local, unknowns), StopTest(start.rtol, self.max_cycles))
                 else:
                     for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
                         multigrid.cycle(level, local.contact, local.load, unknowns, self.cycle.shape)
@@ -112,15 +111,16 @@ class ProjectedRun:
     def finish(self, unknowns: np.ndarray) -> Outcome:
         """Cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
         local = self.problems[-1]
-        given = self.multigrid(len(self.hierarchy) - 1), self.cycle, local, unknowns
+        multigrid = self.multigrid(len(self.hierarchy) - 1)
         with self.run.phase("cycles"):
+            cycles = _Cycles(multigrid, self.cycle, local, unknowns, self.run)
             if self.stop == "error":
-                cycles = _Cycles(*given)
-                stop = IterateTest(local, self.rtol, self.max_cycles, self.run, displacement=local.to_cartesian)
+                stop = StopTest(self.rtol, self.max_cycles, lambda rtol: self.run.shortfall(
+                    local.to_cartesian(unknowns), rtol))
                 status = iterate(cycles, stop, self.run)
             else:
-                cycles, stop = _WholeCycles(*given), ChangeTest(local, self.rtol, self.max_cycles, self.run)
-                status = cycles.end(iterate(cycles, stop, self.run), stop, self.run)
+                stop = ChangeTest(self.rtol, self.max_cycles)
+                status = WholeSteps(cycles, corrects=True).run(stop, self.run)
         return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, self.rtol, stop.error_estimate, stop.rate)
 
 
@@ -130,65 +130,26 @@ def need_levels(hierarchy: Hierarchy) -> None:
         raise ValueError("grids must have at least two levels for multigrid, got one: use SingleGrid or ActiveSet")
 
 
-class _Cycles:
-    """Cycles from ``unknowns``, in place, measured after the first smoothing, where the cycle has its residual."""
+class _Cycles(Smoothing):
+    """Cycles, measured after the first smoothing, where the cycle has its residual."""
 
-    def __init__(self, multigrid: MultigridCycle, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray) -> None:
-        self.multigrid, self.local, self.unknowns = multigrid, local, unknowns
+    def __init__(self, multigrid: MultigridCycle, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray,
+                 run: Run | None = None) -> None:
+        super().__init__(Measure(local, run), unknowns)
+        self.multigrid, self.local = multigrid, local
         self.level, self.pre, self.post = len(multigrid.levels) - 1, cycle.pre, cycle.post
-        self.cycles = 0
-        self._residual = np.empty(0)
 
-    def start(self) -> None:
-        self._smooth(self.pre)
-
-    def measure(self, stop: IterateTest) -> None:
-        self._residual = self.residual()
-        stop.take(self.unknowns, self._residual)
-
-    def row(self, stop: IterateTest) -> dict[str, float]:
-        return stop.measures()
-
-    def step(self, stop: IterateTest) -> None:
-        self.correct()
-        self._smooth(self.pre)
-
-    def correct(self) -> None:
-        self.multigrid.correct(self.level, self.local.contact, self.unknowns, self._residual)
-        self._smooth(self.post)
-        self.cycles += 1
+    def smooth(self) -> int:
+        self._sweep(self.pre)
+        return 0
 
     def residual(self) -> np.ndarray:
         return self.multigrid.residual(self.level, self.local.load, self.unknowns)
 
-    def _smooth(self, sweeps: int) -> None:
+    def correct(self, r: np.ndarray) -> int:
+        self.multigrid.correct(self.level, self.local.contact, self.unknowns, r)
+        self._sweep(self.post)
+        return 1
+
+    def _sweep(self, sweeps: int) -> None:
         self.multigrid.smooth(self.level, self.local.contact, self.local.load, self.unknowns, sweeps)
-
-
-class _WholeCycles(_Cycles):
-    """The same measured at the end of a cycle by its change, the paper's test at the end of step g."""
-
-    def start(self) -> None:
-        """Nothing: measuring runs the cycle."""
-
-    def measure(self, stop: ChangeTest) -> None:
-        """Run a cycle and measure its change."""
-        before = self.unknowns.copy()
-        super().start()
-        super().measure(stop)
-        self.correct()
-        stop.take_change(before, self.unknowns)
-
-    def row(self, stop: ChangeTest) -> dict[str, float] | None:
-        return {"relative_change": stop.relative_change, **stop.measures()} if stop.finite else None
-
-    def step(self, stop: ChangeTest) -> None:
-        """Nothing: measuring runs the cycle."""
-
-    def end(self, status: Status, stop: ChangeTest, run: Run) -> Status:
-        """Measure the last iterate, which confirms the status or not."""
-        if status is Status.DIVERGED:
-            return status
-        super().measure(stop)
-        run.record(cycle=self.cycles, **self.row(stop))
-        return stop.confirmed(status)

@@ -17,7 +17,7 @@ from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.factorisation import Condensed, condense
-from adaptmg.solver.iterate import ChangeTest, IterateTest, iterate
+from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, State, StopTest, WholeSteps, iterate
 from adaptmg.solver.record import Outcome, Run, Status
 
 
@@ -94,19 +94,23 @@ class SingleGrid:
         # the Schur complement measures the energy of the error of the recovered solution
         reference = None if run.reference is None else restrict(local.to_local(run.reference))
         sizes = Sizes(local.discrete, local.frames) if condensed is None else _CondensedSizes(condensed)
-        test = {"run": run, "reference": reference, "sizes": sizes}
-        given = problem, self.smoother(), run, unknowns, self.max_sweeps
+        new_measure = partial(Measure, run=run, reference=reference, sizes=sizes)
+        given = self.smoother(), run, unknowns, self.max_sweeps
+
+        def shortfall(rtol: float) -> float:
+            return run.shortfall(displacement(unknowns), rtol)
+
         with run.phase("sweeps"):
             if self.friction == "fixed point":
-                stop = _TrescaTest(problem, self.rtol, self.max_sweeps, displacement=displacement, **test)
-                sweeps = _TrescaProblems(*given, new_test=partial(_SweepTest, **test))
+                sweeps = _TrescaProblems(problem, *given, new_measure, self.rtol)
+                stop = StopTest(self.rtol, self.max_sweeps, shortfall, stalled=None)
                 status = iterate(sweeps, stop, run)
             elif self.stop == "change":
-                stop, sweeps = ChangeTest(problem, self.rtol, self.max_sweeps, **test), _ChangingSweeps(*given)
-                status = sweeps.end(iterate(sweeps, stop, run), stop)
+                stop, sweeps = ChangeTest(self.rtol, self.max_sweeps), _Sweeps(problem, *given, new_measure, batch=1)
+                status = WholeSteps(sweeps, corrects=False).run(stop, run)
             else:
-                stop = _SweepTest(problem, self.rtol, self.max_sweeps, displacement=displacement, **test)
-                sweeps = _Sweeps(*given)
+                stop = StopTest(self.rtol, self.max_sweeps, shortfall, stalled=Status.CYCLING)
+                sweeps = _Sweeps(problem, *given, new_measure)
                 status = iterate(sweeps, stop, run)
         run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
         with run.phase("factorise" if self.condensed else "sweeps"):
@@ -135,77 +139,37 @@ class _CondensedSizes(Sizes):
         return super().forces(self._condensed.recover(unknowns) if self.prescribed else unknowns, contact)
 
 
-class _SweepTest(IterateTest):
-    """Sweeps whose change reaches no new minimum are cycling."""
-
-    STALLED = Status.CYCLING
-
-
-class _TrescaTest(IterateTest):
-    """For a sequence of Tresca problems: only the limit ends it without convergence."""
-
-    stalled = False
-
-
-class _Sweeps:
-    """Batches of sweeps, in place, each followed by a residual; see :class:`~adaptmg.solver.iterate.Iteration`."""
+class _Sweeps(Smoothing):
+    """Batches of sweeps, each followed by a residual; those that reach no new smallest change are cycling."""
 
     #: sweeps between the first checks; later checks come every CHECK_SHARE of the sweeps done
     FIRST_CHECK, CHECK_SHARE = 10, 0.1
 
     def __init__(self, problem: LocalProblem, smoother: ProjectedGaussSeidel, run: Run, unknowns: np.ndarray,
-                 limit: int, before: int = 0) -> None:
-        self.problem, self.smoother, self.run, self.unknowns = problem, smoother, run, unknowns
-        self.limit, self.before, self.cycles, self.batch = limit, before, before, 1
+                 limit: int, new_measure: Callable[[LocalProblem], Measure], batch: int | None = None,
+                 before: int = 0) -> None:
+        super().__init__(new_measure(problem), unknowns)
+        self.problem, self.smoother, self.run, self.limit = problem, smoother, run, limit
+        self.cycles, self.before, self.batch, self._batch = before, before, 1, batch
 
-    def start(self) -> None:
-        done = self.cycles - self.before
-        self.batch = max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
-        self.sweep(min(self.batch, self.limit - done))
-
-    def measure(self, stop: IterateTest) -> None:
-        stop.take(self.unknowns, self.residual())
-
-    def row(self, stop: IterateTest) -> dict[str, float] | None:
-        return stop.measures()
-
-    def step(self, stop: IterateTest) -> None:
-        self.start()
-
-    def sweep(self, times: int) -> None:
-        system = self.problem.system
+    def smooth(self) -> int:
+        system, done = self.problem.system, self.cycles - self.before
+        self.batch = self._batch or max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
+        times = min(self.batch, self.limit - done)
         passes = self.smoother.smooth(system, self.problem.contact, self.problem.load, self.unknowns, times)
         self.run.count(passes, system.nonzeros)
-        self.cycles += times
+        return times
 
     def residual(self) -> np.ndarray:
-        """b - A w (n_dofs,), one pass."""
         self.run.count(1, self.problem.system.nonzeros)
         return residual(self.problem.system, self.problem.load, self.unknowns)
 
-    def rate(self, stop: IterateTest) -> float:
+    def correct(self, r: np.ndarray) -> int:
+        return 0
+
+    def rate(self, stop: StopTest) -> float:
         """Convergence rate of a sweep."""
         return stop.rate ** (1 / self.batch) if np.isfinite(stop.rate) else np.nan
-
-
-class _ChangingSweeps(_Sweeps):
-    """Sweeps tested by what each changes (the paper's test); the residual is computed at the end."""
-
-    def start(self) -> None:
-        self._before = self.unknowns.copy()
-        self.sweep(1)
-
-    def measure(self, stop: ChangeTest) -> None:
-        stop.take_change(self._before, self.unknowns)
-
-    def row(self, stop: ChangeTest) -> None:
-        """No row."""
-
-    def end(self, status: Status, stop: ChangeTest) -> Status:
-        """Measure the last iterate, which confirms the status or not."""
-        super().measure(stop)
-        self.run.record(cycle=self.cycles, **stop.measures(), relative_change=stop.relative_change)
-        return stop.confirmed(status)
 
 
 class _TrescaProblems(_Sweeps):
@@ -215,28 +179,26 @@ class _TrescaProblems(_Sweeps):
     MOST, INNER = 200, 0.1
 
     def __init__(self, problem: LocalProblem, smoother: ProjectedGaussSeidel, run: Run, unknowns: np.ndarray,
-                 limit: int, new_test: Callable[..., _SweepTest]) -> None:
-        super().__init__(problem, smoother, run, unknowns, limit)
-        self._new_test, self._solved, self._residual = new_test, 0, np.empty(0)
+                 limit: int, new_measure: Callable[[LocalProblem], Measure], rtol: float) -> None:
+        super().__init__(problem, smoother, run, unknowns, limit, new_measure)
+        self._new_measure, self._rtol, self._solved = new_measure, rtol, 0
 
-    def start(self) -> None:
-        """Nothing: the start is measured."""
+    def smooth(self) -> int:
+        return 0
 
-    def measure(self, stop: IterateTest) -> None:
-        self._residual = self.residual()
-        stop.take(self.unknowns, self._residual)
+    def step(self) -> State | Status:
+        return Status.LIMIT if self._solved == self.MOST else super().step()
 
-    def step(self, stop: IterateTest) -> Status | None:
+    def correct(self, r: np.ndarray) -> int:
         """Hold the present limit, and solve."""
         contact, left = self.problem.contact, self.limit - self.cycles
-        limit = sliding_limit(self.problem.system, contact, self._residual)
+        limit = sliding_limit(self.problem.system, contact, r)
         held = replace(self.problem, contact=replace(contact, limit=limit, friction=np.zeros_like(limit), held=None))
-        sweeps = _Sweeps(held, self.smoother, self.run, self.unknowns, left, self.cycles)
-        iterate(sweeps, self._new_test(held, self.INNER * stop.rtol, self.cycles + left), self.run)
-        self.cycles = sweeps.cycles
+        sweeps = _Sweeps(held, self.smoother, self.run, self.unknowns, left, self._new_measure, before=self.cycles)
+        iterate(sweeps, StopTest(self.INNER * self._rtol, self.cycles + left, stalled=Status.CYCLING), self.run)
         self._solved += 1
-        return Status.LIMIT if self._solved == self.MOST else None
+        return sweeps.cycles - self.cycles
 
-    def rate(self, stop: IterateTest) -> float:
+    def rate(self, stop: StopTest) -> float:
         """Convergence rate of the fixed point."""
         return stop.rate

@@ -33,15 +33,15 @@ from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_p
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.solver.active_set import coarsest_solution
-from adaptmg.solver.examine import Sizes
+from adaptmg.solver.examine import ROUNDING, Sizes
 from adaptmg.solver.factorisation import FACTORISED
-from adaptmg.solver.iterate import StopTest, iterate, true_error
+from adaptmg.solver.iterate import State, StopTest, iterate, true_error
 from adaptmg.solver.projected import need_levels
 from adaptmg.solver.record import Outcome, Run, Status
 
 
 class TruncatedIteration(StopTest):
-    """Cycles on one level, measured after the smoothing, and their test; see :func:`~adaptmg.solver.iterate.iterate`.
+    """Cycles on one level, measured after the smoothing, and their test.
     ``run`` asks the certificate and keeps the history. ``cold``: the contact status of the start is unknown.
     ``nested`` is the start (n_dofs,) from which ``rtol="discretisation"`` is measured. ``hands_over``: end where the
     tolerance is out of reach at the present speed."""
@@ -67,47 +67,44 @@ class TruncatedIteration(StopTest):
     def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
                  run: Run | None = None, cold: bool = False, nested: np.ndarray | None = None,
                  hands_over: bool = False) -> None:
-        super().__init__(0.0 if rtol == "discretisation" else rtol, limit, Sizes(problem))
-        self.multigrid, self.problem, self.run = multigrid, problem, run
-        self.cycles = self.changed = 0
+        super().__init__(0.0 if rtol == "discretisation" else rtol, limit)
+        self.multigrid, self.problem, self.run, self.sizes = multigrid, problem, run, Sizes(problem)
         self.residuals: list[float] = []
         self._nested, self._hands_over = nested, hands_over
         self._most, self._safe = self.SAFE_CYCLES, self.SAFE_CYCLES if cold else 0
         self._first, self._since = np.nan, 0
 
-    def start(self) -> None:
-        """Nothing: :meth:`measure` smooths."""
-
-    def measure(self, stop: StopTest) -> None:
-        """Smooth, and take the residual that this leaves."""
-        multigrid, sizes = self.multigrid, self.sizes
-        multigrid.smooth()
+    def step(self) -> State | Status:
+        """Correct, unless it is the first step, and measure what the smoothing leaves."""
+        status = self._correct() if self.residuals else None
+        if status is not None:
+            return status
+        multigrid, sizes, cycles = self.multigrid, self.sizes, len(self.changes)
         # each cycle only where the displacement has to grow into prescribed values
-        if self.cycles % 4 == 0 or sizes.prescribed:
-            self.size = sizes.norm(multigrid.unknowns, multigrid.energy())
-        state = multigrid.linearise(self._safe > 0)
-        self.changed = state.changed
+        measured = cycles % 4 == 0 or sizes.prescribed
+        state = multigrid.measure(self._safe > 0, with_energy=measured)
         self._safe = self._safe - 1 if self._safe > 0 and state.changed else 0
-        early = self.cycles < 2
+        early = cycles < 2
         # an exact start has no rate to measure, and needs none
         floor = multigrid.rounding() if early or sizes.prescribed else 0.0
-        forces = sizes.forces(multigrid.unknowns, state.reactions)
-        idle = self.idle(forces, floor, multigrid.unknowns)
-        self.take_residual(state.residual, forces, floor if early or idle else 0.0, idle)
+        forces, columns = sizes.forces(multigrid.unknowns, state.reactions), {"status_changes": float(state.changed)}
+        idle = sizes.nothing_strains(forces, ROUNDING * floor, multigrid.unknowns)
+        if self.run is not None and self.run.reference is not None:
+            error = multigrid.unknowns - self.problem.from_prescribed(self.run.reference)
+            columns["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
+        return State(cycles, state.residual, forces,
+                     sizes.norm(multigrid.unknowns, state.energy) if measured else self.size,
+                     floor if early or idle else 0.0, idle, columns=columns)
+
+    def judge(self, state: State) -> None:
+        super().judge(state)
         self.residuals.append(self.residual)
         if len(self.residuals) == 1:
             self._first = self._last
 
-    def row(self, stop: StopTest) -> dict[str, float]:
-        values = self.measures() | {"status_changes": float(self.changed)}
-        if self.run.reference is not None:
-            error = self.multigrid.unknowns - self.problem.from_prescribed(self.run.reference)
-            values["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
-        return values
-
-    def step(self, stop: StopTest) -> Status | None:
+    def _correct(self) -> Status | None:
         self.changes.append(float(np.sqrt(abs(self.multigrid.correct()))))
-        self.cycles += 1
+        self.cycles = len(self.changes)
         if self._safe == 0 and self._in_trouble():
             if self._most > self.SAFE_CYCLES:
                 return Status.STALLED
@@ -360,9 +357,10 @@ class TruncatedRun:
                 sizes, enough = Sizes(problem), start.cycles_on(problem, self.problems[number + 1])
                 for cycle in range(max(enough, TruncatedIteration.SAFE_CYCLES)):
                     # the next level takes over no iterate with a large residual
-                    state = step.step(lambda smoothed: TruncatedIteration.TRUSTED * sizes.forces(smoothed, 0.0))
-                    forces = sizes.forces(step.smoothed, state.reactions)
-                    if cycle + 1 >= enough and state.residual <= TruncatedIteration.TRUSTED * forces:
+                    state = step.measure(trusted=lambda u: TruncatedIteration.TRUSTED * sizes.forces(u, 0.0))
+                    trusted = TruncatedIteration.TRUSTED * sizes.forces(step.unknowns, state.reactions)
+                    step.correct()
+                    if cycle + 1 >= enough and state.residual <= trusted:
                         break
             step.truncation.restore()
         return step.unknowns

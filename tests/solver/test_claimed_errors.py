@@ -12,7 +12,7 @@ from study_scripts import load
 import adaptmg as am
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.examine import Sizes
-from adaptmg.solver.iterate import IterateTest, StopTest
+from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.record import Run
 from adaptmg.solver.truncated import TruncatedIteration
 
@@ -113,7 +113,7 @@ def test_the_certificate_makes_a_method_go_on(method, monkeypatch):
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     for kind in (StopTest, TruncatedIteration):
         monkeypatch.setattr(kind, "_estimate", lambda self, own=kind._estimate: 1e-3 * own(self))
-    monkeypatch.setattr(IterateTest, "change", property(lambda self, own=IterateTest.change: 1e-3 * own.fget(self)))
+    monkeypatch.setattr(StopTest, "change", property(lambda self, own=StopTest.change: 1e-3 * own.fget(self)))
     monkeypatch.setattr(StopTest, "RESIDUAL_FACTOR", 1e5)
     result = am.solve(grids, replace(METHODS[method], rtol=1e-8))
     assert distance(grids.finest.discrete, result.displacement, exact.displacement) <= 3e-8

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.solver.examine import Sizes
-from adaptmg.solver.iterate import StopTest, iterate
+from adaptmg.solver.iterate import State, StopTest, iterate
 from adaptmg.solver.record import Run
 
 
@@ -21,37 +20,21 @@ class Halving:
     """Residuals and changes that fall by ``factor``; gives up after ``gives_up`` cycles."""
 
     def __init__(self, factor=0.5, gives_up=None):
-        self.factor, self.gives_up, self.cycles, self.done = factor, gives_up, 0, []
+        self.factor, self.gives_up, self.cycles = factor, gives_up, -1
 
-    def start(self):
-        self.done.append("start")
-
-    def measure(self, stop):
-        self.done.append("measure")
-        if self.cycles:
-            stop.changes.append(self.factor**self.cycles)
-        stop.size = 1.0
-        stop.take_residual(self.factor**self.cycles, 1.0, floor=0.0)
-
-    def row(self, stop):
-        return stop.measures()
-
-    def step(self, stop):
-        self.done.append("step")
+    def step(self):
         self.cycles += 1
-        return am.Status.CYCLING if self.cycles == self.gives_up else None
+        if self.cycles == self.gives_up:
+            return am.Status.CYCLING
+        size = self.factor**self.cycles
+        return State(self.cycles, size, forces=1.0, size=1.0, change=size if self.cycles else None)
 
 
-def stop_test(grids, rtol=1e-3, limit=100):
-    return StopTest(rtol, limit, Sizes(grids.finest.discrete))
-
-
-def test_error_and_residual_end_it(grids):
-    method, stop, run = Halving(), stop_test(grids), Run(unit=1)
+def test_error_and_residual_end_it():
+    method, stop, run = Halving(), StopTest(1e-3, 100), Run(unit=1)
     assert iterate(method, stop, run) is am.Status.CONVERGED
     # with a rate of a half the error that remains is the last change
     assert method.cycles == 10 and stop.error_estimate == pytest.approx(0.5**10) and stop.rate == pytest.approx(0.5)
-    assert method.done == ["start", *["measure", "step"] * 10, "measure"]
     assert [row["cycle"] for row in run.history] == list(range(11))
 
 
@@ -59,17 +42,16 @@ def test_error_and_residual_end_it(grids):
     (Halving(), 4, am.Status.LIMIT, 4), (Halving(gives_up=3), 100, am.Status.CYCLING, 3),
     (Halving(1.0), 1000, am.Status.STALLED, StopTest.PATIENCE + 1), (Halving(100.0), 100, am.Status.DIVERGED, 7),
     (Halving(np.nan), 100, am.Status.DIVERGED, 1)])
-def test_what_else_ends_it(grids, method, limit, status, cycles):
-    assert iterate(method, stop_test(grids, limit=limit)) is status
+def test_what_else_ends_it(method, limit, status, cycles):
+    assert iterate(method, StopTest(1e-3, limit)) is status
     assert method.cycles == cycles
 
 
 @pytest.mark.parametrize(("last", "status"), [(0.0, am.Status.CONVERGED), (2.0, am.Status.LIMIT)])
-def test_at_the_limit_the_certificate_decides_whatever_the_estimate(grids, last, status):
+def test_at_the_limit_the_certificate_decides_whatever_the_estimate(last, status):
     """After a refusal the test asks for more than rtol, and the cycles may end before."""
-    stop, found = stop_test(grids, limit=11), [3.0, last]
-    stop.shortfall = lambda: found.pop(0)
-    assert iterate(Halving(), stop) is status and not found
+    answers = [3.0, last]
+    assert iterate(Halving(), StopTest(1e-3, 11, lambda rtol: answers.pop(0))) is status and not answers
 
 
 @dataclass
