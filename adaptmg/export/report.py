@@ -197,7 +197,7 @@ def small_png(figure: Figure, dpi: float = 130) -> bytes:
 
 
 #: characters of a text, a card and a note before they fold
-_IN_SIGHT, _IN_CARD, _IN_NOTE = 420, 220, 240
+_IN_SIGHT, _IN_CARD, _IN_NOTE = 420, 360, 240
 
 
 @dataclass
