@@ -105,19 +105,22 @@ def say(text: str) -> None:
 
 
 def run_all(names: Sequence[str], options: Sequence[str], out: Path, workers: int) -> set[str]:
-    """Run studies, ``workers`` at a time, a line for each; return the names of those that failed."""
-    failed = set()
+    """Run studies, ``workers`` at a time, a line where each begins and ends; return the names of those that failed."""
+    failed, cost, spent = set(), STUDIES | LARGE, 0
     with ThreadPoolExecutor(max(workers, 1)) as pool:
         runs = {pool.submit(run_one, name, options, out): name for name in names}
         for done, run in enumerate(as_completed(runs), 1):
             code, seconds, last = run.result()
-            say(f"[{done}/{len(names)}] {runs[run]}: {f'FAILED, {last}' if code else last} ({seconds:.0f} s)")
+            spent += cost[runs[run]]
+            say(f"[{done}/{len(names)}, {spent / sum(map(cost.get, names)):.0%}] {runs[run]}: "
+                f"{f'FAILED, {last}' if code else last} ({seconds:.0f} s)")
             failed |= {runs[run]} if code else set()
     return failed
 
 
 def run_one(name: str, options: Sequence[str], out: Path) -> tuple[int, float, str]:
     """Run one study; return its exit code, seconds and last line, and keep what it printed in ``NAME/log.txt``."""
+    say(f"begins: {name}, about {(STUDIES | LARGE)[name]} s without --quick. {question(name)}")
     begin = time.perf_counter()
     (out / name).mkdir(parents=True, exist_ok=True)
     (out / name / "section.json").unlink(missing_ok=True)

@@ -1,6 +1,7 @@
 """Settings of Sphinx; ``python studies/docs.py`` builds."""
 
 import importlib
+import logging
 import sys
 from importlib.metadata import distribution
 from pathlib import Path
@@ -13,6 +14,7 @@ from sphinx_gallery.scrapers import figure_rst
 import adaptmg as am
 
 matplotlib.use("Agg")
+logging.getLogger("adaptmg").setLevel(logging.WARNING)       # an extension prints what solvers log
 project, author, version = "adaptmg", "adaptmg contributors", am.__version__
 release, project_copyright = version, "adaptmg contributors, MIT licence"
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc",
