@@ -79,7 +79,7 @@ def study(out: Output) -> None:
     best = table.groupby("method").last()
     ours, direct = best.loc["default (truncated)"], best.loc["active set, direct"]
     out.number(f"Dovetail, {ours['nodes']} nodes, to a true error of 1e-6; active set with direct solves",
-               f"{ours['cycles']} cycles, {ours['work']:.0f} units, {ours['seconds']:.2f} s; {direct['seconds']:.2f} s")
+               f"{ours['seconds']:.2f} s ({ours['cycles']} cycles, {ours['work']:.0f} WU); {direct['seconds']:.2f} s")
     out.check("cycles of the default on the most grids", float(best["cycles"]["default (truncated)"]), high=16)
 
 
