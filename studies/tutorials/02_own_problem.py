@@ -17,7 +17,8 @@ problem = am.ContactProblem(
 am.plot.problem(problem)
 
 # %%
-# Meshes are graded towards contact. The nodes of the finest level lie on the circle, those of coarser levels too.
+# Meshes are graded towards contact; the nodes of all levels lie on the circle. The default mesher is quick;
+# ``mesher="netgen"`` takes meshes of NGSolve, to compare with its results or where the default one fails.
 
 grids = am.Hierarchy.graded(problem, sizes=(12e-3, 7e-3, 4e-3, 2.4e-3), contact_ratio=2)
 result = am.solve(grids)
