@@ -36,7 +36,7 @@ from adaptmg.estimate.step import (
 )
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.tables import history_arrays, with_history
+from adaptmg.mesh.bisection.tables import with_refinement
 from adaptmg.problem import LoadPath, step_problem
 from adaptmg.solver.advice import once
 from adaptmg.solver.load_path import PathResult, solve_path
@@ -232,7 +232,7 @@ class AdaptiveLoop:
             if self.store is not None:
                 numbers = {"total_seconds": step.total_seconds, "work_units": step.work_units,
                            "total_work_units": step.total_work_units}
-                self.store.put(number, result, StoredStep(estimate, keys, extra, history_arrays(result.mesh), numbers,
+                self.store.put(number, result, StoredStep(estimate, keys, extra, result.mesh.refinement, numbers,
                                                           timings, path))
         self._remember(step)
         return step
@@ -247,7 +247,7 @@ class AdaptiveLoop:
 
     def _restored(self, number: int, step: Stored) -> Step:
         stored: StoredStep = step.more
-        mesh = with_history(step.value.mesh, stored.history)
+        mesh = with_refinement(step.value.mesh, stored.history)
         hierarchy = self.meshes.take(number, mesh, stored.extra, stored.levels)
         # one mesh for both, with its source
         result = replace(step.value, mesh=hierarchy.finest.mesh)

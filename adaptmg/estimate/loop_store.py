@@ -17,7 +17,7 @@ from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level, joined, level_of, the_transfer
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, Refinement
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.load_path import PathResult
 from adaptmg.solver.result import KINDS
@@ -33,14 +33,14 @@ class StoredStep:
     estimate: Estimate
     levels: list[Key]  # for each level the step and place of its mesh
     extra: list[MeshArrays]  # meshes that came with this step next to its own
-    history: dict[str, np.ndarray]  # of the bisections that made its own mesh
+    history: Refinement | None  # the bisections that made its own mesh
     numbers: dict[str, float]  # total_seconds, work_units, total_work_units
     timings: dict[str, float]
     path: PathResult | None = None
 
 
 #: what the file of a step holds; user-defined estimates come back as Estimate
-LOOP_KINDS = (*KINDS, StoredStep, GoalEstimate, Estimate, PathResult)
+LOOP_KINDS = (*KINDS, StoredStep, GoalEstimate, Estimate, PathResult, Refinement)
 
 
 def loop_store(folder: str | os.PathLike[str], mark: Mapping[str, object]) -> StepStore:

@@ -3,7 +3,6 @@
 import numpy as np
 
 import adaptmg as am
-from adaptmg.mesh.bisection.tables import history_arrays
 
 __all__ = ["Constant", "numbers_of", "upset"]
 
@@ -33,7 +32,7 @@ def numbers_of(steps: list[am.Step]) -> list[bytes]:
     for step in steps:
         mesh, work = step.hierarchy.finest.mesh, (step.work_units, step.total_work_units, step.result.rtol)
         levels = [level.n_nodes for level in step.hierarchy.levels]
-        history = [array.tobytes() for array in history_arrays(mesh).values()]
+        history = [array.tobytes() for array in vars(mesh.refinement).values()] if mesh.refinement else []
         found.append(b"".join([*history, step.result.displacement.tobytes(), step.estimate.squares.tobytes(),
                                mesh.points.tobytes(), mesh.elements.tobytes(), np.array(work).tobytes(),
                                np.array(levels).tobytes()]))

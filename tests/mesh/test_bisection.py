@@ -10,10 +10,12 @@ from bisected_meshes import SQUARE, crooked, cube, random_mask, verified
 from uncompiled import uncompile
 
 from adaptmg.mesh import MeshArrays, bisect, check_mesh, quality, refine_near, structured
+from adaptmg.mesh.arrays import Refinement
 from adaptmg.mesh.bisection import children, refine, tables
 from adaptmg.mesh.bisection.refine import bisected, refined
-from adaptmg.mesh.bisection.tables import cells_of, history_arrays, nodes_of, with_history
+from adaptmg.mesh.bisection.tables import cells_of, nodes_of, with_refinement
 from adaptmg.problem import Rectangle
+from adaptmg.solver import store
 
 
 def split(mesh):
@@ -166,49 +168,14 @@ def thrice(mesh):
     return mesh
 
 
-def bare(mesh):
-    """What a file keeps of a mesh."""
-    return check_mesh(MeshArrays(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
-                                 mesh.element_body, mesh.bodies))
-
-
 @pytest.mark.parametrize("mesh", CROOKED.values(), ids=CROOKED)
 def test_bisection_goes_on_from_a_file_as_if_it_had_never_stopped(mesh, tmp_path):
-    fine = thrice(mesh)
-    np.savez(tmp_path / "history.npz", **history_arrays(fine))
-    with np.load(tmp_path / "history.npz") as arrays:
-        back = with_history(bare(fine), arrays)
+    fine, kinds = thrice(mesh), (MeshArrays, Refinement)
+    (tmp_path / "mesh.npz").write_bytes(store.packed(fine, kinds, fine.refinement))
+    stored = store.read(tmp_path / "mesh.npz", kinds, more=True)
+    assert stored.value.refinement is None
+    back = with_refinement(stored.value, stored.more)
     marked = random_mask(fine, 0.3, 9)
     first, second = (bisect(m, marked)[0] for m in (fine, back))
     for name in ("points", "elements", "facets", "facet_labels"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    assert history_arrays(mesh) == {} and with_history(bare(fine), {}).refinement is None
-
-
-def spoilt(arrays, name, change):
-    if change is None:
-        return {key: array for key, array in arrays.items() if key != name}
-    return {**arrays, name: change(np.array(arrays[name]))}
-
-
-def put(row, value):
-    def change(array):
-        array[row] = value
-        return array
-    return change
-
-
-@pytest.mark.parametrize(("name", "change", "message"), [
-    ("parents", lambda a: a[:-1], "parents must have shape"),
-    ("parents", put((0, 1), 5), "parents holds numbers out of range"),
-    ("marks", put(0, 18), "marks holds numbers out of range"),
-    ("generation", put(0, -1), "generation holds numbers out of range"),
-    ("generation", lambda a: a[:-1], "generation must have shape"),
-    ("parents", lambda a: np.arange(len(a))[:, None].repeat(2, axis=1), "elements lack a node"),
-    ("marks", lambda a: a.astype(np.int64) + 2**40, "marks holds numbers out of range"),
-    ("marks", None, "history: marks is missing"),
-])
-def test_what_does_not_fit_is_refused(name, change, message):
-    fine = thrice(CROOKED["3D"])
-    with pytest.raises(ValueError, match=message):
-        with_history(bare(fine), spoilt(history_arrays(fine), name, change))

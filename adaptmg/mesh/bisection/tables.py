@@ -1,4 +1,4 @@
-"""A mesh into the tables of a bisection and out of them, with its history; the history as plain arrays for files.
+"""A mesh into the tables of a bisection and out of them, with its history.
 
 A table has a row of 32 bit integers for each element or node. Columns of an element: its corners, the boundary facet
 opposite each (-1: none), marks, generation, origin.
@@ -6,8 +6,7 @@ opposite each (-1: none), marks, generation, origin.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -137,50 +136,3 @@ def as_initial(mesh: MeshArrays) -> MeshArrays:
         return mesh
     own = np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
     return with_refinement(mesh, Refinement(own, history.marks, np.zeros(len(mesh.elements), np.int16)))
-
-
-_TYPES = {"parents": np.int32, "marks": np.int8, "generation": np.int16}
-# marks of tetrahedra, flagged or not
-_MOST_MARKS = {2: 0, 3: 17}
-
-
-def history_arrays(mesh: MeshArrays) -> dict[str, np.ndarray]:
-    """The arrays of a mesh's :class:`~adaptmg.mesh.bisection.children.Refinement` by name; empty without one."""
-    if mesh.refinement is None:
-        return {}
-    return {one.name: getattr(mesh.refinement, one.name) for one in fields(Refinement)}
-
-
-def with_history(mesh: MeshArrays, arrays: Mapping[str, np.ndarray]) -> MeshArrays:
-    """A mesh of the same arrays with the history that :func:`history_arrays` took from it."""
-    if not arrays:
-        return with_refinement(mesh, None)
-    missing = [name for name in _TYPES if name not in arrays]
-    if missing:
-        raise ValueError(f"history: {', '.join(missing)} is missing; it takes {', '.join(_TYPES)}")
-    given = {name: _whole(name, arrays[name], dtype) for name, dtype in _TYPES.items()}
-    n, elements = mesh.n_nodes, len(mesh.elements)
-    shapes = {"parents": (n, 2), "marks": (elements,), "generation": (elements,)}
-    for name, shape in shapes.items():
-        if given[name].shape != shape:
-            raise ValueError(f"history: {name} must have shape {shape}, got {given[name].shape}")
-    for name, values, below in (("parents", given["parents"], np.arange(n)[:, None] + 1),
-                                ("marks", given["marks"], _MOST_MARKS[mesh.dim] + 1),
-                                ("generation", given["generation"], 2**15)):
-        if not ((values >= 0) & (values < below)).all():
-            raise ValueError(f"history: {name} holds numbers out of range; it is not of this mesh")
-    made = given["parents"][:, 0] != given["parents"][:, 1]
-    if not made[mesh.elements[given["generation"] > 0]].any(axis=1).all():
-        raise ValueError("history: elements lack a node that bisection made them with; it is not of this mesh")
-    return with_refinement(mesh, Refinement(**given))
-
-
-def _whole(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
-    """A copy of an array of integers."""
-    array = np.asarray(array)
-    if array.dtype.kind not in "iu":
-        raise ValueError(f"history: {name} must be an array of integers, got {array.dtype}")
-    copy = array.astype(dtype)
-    if not (copy == array).all():
-        raise ValueError(f"history: {name} holds numbers out of range; it is not of this mesh")
-    return copy
