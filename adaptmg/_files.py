@@ -12,7 +12,6 @@ import contextlib
 import errno
 import hashlib
 import os
-import platform
 import re
 import secrets
 import shutil
@@ -24,6 +23,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
+from adaptmg._machine import process_space, user
 from adaptmg._text import printable
 
 #: bytes of a file that is read, unless a smaller limit is given
@@ -178,18 +178,14 @@ def _part(folder: Path) -> Path:
 
 @lru_cache(maxsize=1)
 def _host() -> str:
-    """Eight digits for this machine, or container: numbers of processes mean nothing elsewhere."""
-    space = ""
-    with contextlib.suppress(OSError):
-        space = os.readlink("/proc/self/ns/pid")
-    return hashlib.sha256(f"{platform.node()} {space}".encode()).hexdigest()[:8]
+    return hashlib.sha256(process_space().encode()).hexdigest()[:8]
 
 
 def _left(path: Path, pid: int) -> bool:
     """Whether it belongs to this user and the process that made it has ended."""
     import psutil
 
-    return not psutil.pid_exists(pid) and path.lstat().st_uid == getattr(os, "getuid", lambda: 0)()
+    return not psutil.pid_exists(pid) and path.lstat().st_uid == user()
 
 
 def _remove(path: Path) -> None:
