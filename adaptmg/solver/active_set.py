@@ -26,6 +26,7 @@ residual of the full matrix, so every step is a step of iterative refinement too
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -36,11 +37,12 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import rotate
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.smoother.residuals import natural_residual, residual
+from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, local_system
 from adaptmg.solver.factorisation import Condensed, condense, condense_coarsest
+from adaptmg.solver.interior_point import ContactDofs, Interior, Unknowns, interior_point
 from adaptmg.solver.iterate import Measure, State, StopTest, iterate
-from adaptmg.solver.linear import Direct, LinearSolver, Prepared, solution_of
+from adaptmg.solver.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.transfer.galerkin import without_fixed
 
@@ -58,22 +60,23 @@ class ActiveSet:
     condensed : bool, optional
         Take the steps on the Schur complement of the contact dofs, with one factorisation in all. Default: with
         ``Direct()``.
+    start : {"interior", "held"}, optional
+        Where steps without a given start begin: at the solution of an interior point method, or with all nodes
+        touching and, under friction, sticking. Default: "interior" where the steps are condensed; otherwise an
+        interior point costs as many linear solves as all the Newton steps that it saves.
     rtol : float
         For the relative A-norm of the last Newton step (ten times that while the contact status changes), which bounds
         the error of the iterate before it, and, times 10, for the relative natural residual.
     max_steps : int
-        Newton steps at most.
+        Steps at most.
     nested_start : bool
         Solve on the coarser levels first, each from the solution of the level below.
 
     Notes
     -----
-    Without a start all nodes touch and, under friction, stick: a state that is not singular where the problem is well
-    posed. If a later one is (a body that loses contact), the iteration goes back to that state. If a status comes back,
-    the iteration may be cycling: the step is halved, and gaps weigh less against forces. If either happens again,
-    springs tie the contact nodes to the last trusted iterate (a proximal point method): each problem with springs is
-    solved until its residual is a tenth of that of its centre, which then moves to its solution. The springs become
-    weaker with every problem that is solved and stiffer with every other one; at the end none are left.
+    The interior point method (:mod:`adaptmg.solver.interior_point`) finds the contact status in 5 to 15 steps on any
+    body, however flexible. Where a status comes back in the Newton steps after it, or from a given start, or leaves a
+    motion free, they begin again from an interior point, with a smaller tolerance each time. Steps of both kinds count.
 
     Examples
     --------
@@ -84,6 +87,7 @@ class ActiveSet:
 
     linear: LinearSolver = field(default_factory=Direct)
     condensed: bool | None = None
+    start: str | None = None
     rtol: float = 1e-10
     max_steps: int = 200
     nested_start: bool = False
@@ -95,6 +99,9 @@ class ActiveSet:
         checks.convert(self, checks.flag, "condensed", "nested_start")
         if self.condensed and not isinstance(self.linear, Direct):
             raise ValueError("condensed=True needs linear=Direct(), got another linear solver")
+        if self.start is None:
+            object.__setattr__(self, "start", "interior" if self.condensed else "held")
+        checks.choice("start", self.start, ("interior", "held"))
         checks.convert(self, checks.tolerance, "rtol")
         checks.integer("max_steps", self.max_steps, 1)
 
@@ -140,15 +147,14 @@ class _NewtonTest(StopTest):
 class _Newton:
     """The Newton steps on one level."""
 
-    #: springs relative to the diagonal: the first, the stiffest, and the weakest that count; factors by which they
-    #: become weaker and stiffer; the factor by which a problem with springs reduces the residual, and its most steps
-    SPRING, STIFFEST, NONE, WEAKER, STIFFER, REDUCED, TRIES = 1e-2, 1e2, 1e-6, 0.5, 10.0, 0.1, 5
-    #: repeated states before springs are set, and steps after which the iteration counts as repeating itself: in 3D the
-    #: direction of a slip may go round while no status comes back
-    PATIENCE, LONG = 3, 15
-    #: augmentation c over the diagonal of the matrix; it weighs gaps against forces where a status is decided: small
-    #: values change fewer nodes at a time. Below the second, rounding would decide.
-    FACTOR, SMALLEST_FACTOR = 0.1, 1e-4
+    #: tolerances of the interior point method, one after the other where the status that it finds comes
+    #: back, and its steps at most
+    TOLERANCES, MOST = (1e-9, 1e-12, 1e-15), 60
+    #: steps after which the iteration counts as repeating itself: in 3D the direction of a slip may go round while no
+    #: status comes back
+    LONG = 15
+    #: augmentation c over the diagonal of the matrix: it weighs gaps against forces where a status is decided
+    FACTOR = 0.1
 
     def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int,
                  start: np.ndarray | None, measure: Measure, condensed: Condensed | None = None) -> None:
@@ -156,124 +162,80 @@ class _Newton:
         self.equations_of: LinearSteps = (CondensedSteps(local, run, condensed) if options.condensed
                                           else SparseSteps(local, options.linear, run))
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
-        self.cycles, self.held, self._hold_first = 0, False, start is None
-        self._factor, self._repeats = self.FACTOR, 0
-        self._seen, self._last = set[bytes](), b""  # states of the steps before, and the last of them
-        # springs, what they tie the contact nodes to, its residual, and the steps since
-        self._spring, self._stiffness, self._tries = 0.0, self.SPRING, 0
-        self._centre, self._size = None, np.inf
+        self.cycles, self._hold_first = 0, start is None and options.start == "held"
+        self._from_inside = start is None and options.start == "interior" and len(local.contact.gap) > 0
+        self._tolerances = list(self.TOLERANCES)
+        self._seen, self._last, self._since = set[bytes](), b"", 0  # states of the steps before, and their number
         self._equations: Linearised | None = None
 
     def shortfall(self, rtol: float) -> float:
         return self.run.shortfall(self.local.to_cartesian(self.unknowns), rtol)
 
     def step(self) -> State | Status:
-        status = None if self._equations is None else self._advance()
-        if status is not None:
-            return status
+        if self._equations is not None or self._from_inside:
+            status = self._interior() if self._equations is None else self._advance()
+            if status is not None:
+                return status
         residual = self._residual()
-        tied = residual if self._centre is None else self._tied(residual)
-        self._decide(tied, hold=self._hold_first and self.cycles == 0)
+        self._decide(residual, self._hold_first and self.cycles == 0)
         active, slip = self._equations.active, self._equations.slip
-        # with springs a short step does not bound the error
-        return self._measure(self.cycles, self.unknowns, residual,
-                             settled=not self._spring and self._equations.key == self._last,
+        return self._measure(self.cycles, self.unknowns, residual, settled=self._equations.key == self._last,
                              active=int(active.sum()), slip=int((active & slip).sum()))
 
     def _advance(self) -> Status | None:
-        """A step, shorter where a status comes back; with springs where it does so again."""
+        """A step; where a status comes back, or a motion is free, a start from inside instead."""
         key = self._equations.key
-        repeated = (key in self._seen and key != self._last) or self.cycles % self.LONG == self.LONG - 1
-        if self._centre is not None:
-            stiffen = repeated or self._tries >= self.TRIES
-        else:
-            if repeated:
-                self._repeats += 1
-                self._factor = min(self._factor, max(0.1 * self._factor, self.SMALLEST_FACTOR))
-                _LOG.info("step %d: the contact status comes back (%d times)", self.cycles, self._repeats)
-            stiffen = repeated and self._repeats > self.PATIENCE
-        if stiffen:
-            self._stiffen()
-        if self._stiffness > self.STIFFEST:
-            return Status.CYCLING
-        change = self._change()
-        self._last = self._equations.key
-        self._seen.add(self._last)
-        self.unknowns = self.unknowns + (0.5 if repeated and not stiffen else 1.0) * change
+        change = None
+        if not (key in self._seen and key != self._last) and self._since < self.LONG:
+            try:
+                change = self.equations_of.solve(self._equations)
+            except np.linalg.LinAlgError as error:
+                _LOG.info("step %d: %s", self.cycles, error)
+        if change is None:
+            return self._interior()
+        self._last = key
+        self._seen.add(key)
+        self.unknowns = self.unknowns + change
         self.cycles += 1
-        self._tries += 1
+        self._since += 1
         self.run.visit(self.level, "solve")
+        return None
+
+    def _interior(self) -> Status | None:
+        """Go to what the interior point method finds, to the next of the tolerances."""
+        if not self._tolerances:
+            return Status.CYCLING
+        tolerance = self._tolerances.pop(0)
+        found = interior_point(*self.equations_of.inside(), self.local.contact, self.equations_of.stiffness, tolerance,
+                               most=min(self.MOST, self.options.max_steps - self.cycles))
+        _LOG.info("step %d: an interior point, %.0e, in %d steps", self.cycles, found.slack, found.steps)
+        self.unknowns = self.equations_of.outside(found)
+        self.cycles += found.steps
+        self.run.visit(self.level, "solve", found.steps)
+        self._seen.clear()
+        self._last, self._since = b"", 0
         return None
 
     def _residual(self) -> np.ndarray:
         self.run.count(1, self.local.system.nonzeros)
         return residual(self.local.system, self.local.load, self.unknowns)
 
-    def _decide(self, residual: np.ndarray, hold: bool = False) -> None:
-        self._forces = self.equations_of.contact_residual(residual)
-        self._linearise(self._factor, hold)
-
-    def _linearise(self, factor: float, hold: bool) -> None:
-        system, contact = self.local.system, self.local.contact
+    def _decide(self, residual: np.ndarray, hold: bool) -> None:
+        system, contact, forces = self.local.system, self.local.contact, self.equations_of.contact_residual(residual)
         at_contact = self.unknowns.reshape(-1, system.dim)[system.nodes]
-        self.held = self.held or hold
-        self._equations = hold_all(contact, at_contact, self._forces) if hold else linearise(
-            contact, at_contact, self._forces, self.equations_of.stiffness, factor)
-
-    def _change(self) -> np.ndarray:
-        """The change of a step; where it is singular, from the safe state, then with springs."""
-        while True:
-            try:
-                return self.equations_of.solve(self._equations, self._spring)
-            except np.linalg.LinAlgError as error:
-                _LOG.info("step %d: %s", self.cycles, error)
-                if self._stiffness > self.STIFFEST:
-                    raise
-            if self.held:
-                self._stiffen()
-            else:
-                self._linearise(0.0, hold=True)
-
-    def _tied(self, residual: np.ndarray) -> np.ndarray:
-        """The residual with springs; where it is small enough their centre moves to the present iterate."""
-        tied, system = residual.copy(), self.local.system
-        pull = (self.unknowns - self._centre).reshape(-1, system.dim)[system.nodes]
-        tied.reshape(-1, system.dim)[system.nodes] -= self._spring * self.equations_of.stiffness * pull
-        if not self._tries or self._natural(tied) > self.REDUCED * self._size:
-            return tied
-        self._stiffness *= self.WEAKER
-        self._tie(residual, self._stiffness if self._stiffness > self.NONE else 0.0)
-        return residual
-
-    def _natural(self, residual: np.ndarray) -> float:
-        vector = natural_residual(self.local.system, self.local.contact, self.local.load, self.unknowns, residual)
-        return float(np.linalg.norm(vector))
-
-    def _tie(self, residual: np.ndarray, spring: float) -> None:
-        """Springs to the present iterate, whose residual is ``residual``."""
-        self._centre, self._size = self.unknowns, self._natural(residual)
-        self._spring, self._tries, self._factor, self._last = spring, 0, self.FACTOR, b""
-        self._seen.clear()
-
-    def _stiffen(self) -> None:
-        """Springs; where there are some already, stiffer ones, and back to their centre."""
-        if self._centre is not None:
-            self.unknowns = self._centre
-            # without any, those that were the last
-            self._stiffness = max(self._stiffness, self.NONE) * (self.STIFFER if self._spring else 1.0)
-        _LOG.info("step %d: springs of %.1e at contact", self.cycles, self._stiffness)
-        residual = self._residual()
-        self._tie(residual, self._stiffness)
-        self._decide(residual)
+        self._equations = hold_all(contact, at_contact, forces) if hold else linearise(
+            contact, at_contact, forces, self.equations_of.stiffness, self.FACTOR)
 
 
-def coarsest_solution(problem: DiscreteProblem, rtol: float, unit: int) -> tuple[np.ndarray, int]:
-    """Displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular, and the number of its steps."""
+def coarsest_solution(problem: DiscreteProblem, rtol: float) -> tuple[np.ndarray, int, float]:
+    """Displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular, and the numbers of its steps and
+    of the passes over its matrix."""
     options, condensed = ActiveSet(rtol=rtol), condense_coarsest(problem)
     local = condensed.full
-    newton = _Newton(options, local, Run(unit=unit), 0, None, Measure(local), condensed)
+    run = Run(unit=local.system.nonzeros)
+    newton = _Newton(options, local, run, 0, None, Measure(local), condensed)
     iterate(newton, _NewtonTest(rtol, options.max_steps, stalled=None))
-    return local.to_cartesian(newton.unknowns), newton.cycles
+    return local.to_cartesian(newton.unknowns), newton.cycles, run.work_units
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +305,7 @@ def _beside_held(contact: NodalContact, tau: np.ndarray, residual: np.ndarray, e
 
 
 def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) -> Linearised:
-    """Every node that has an obstacle touches and, where the law has friction, sticks: a safe state to start from."""
+    """Every node that has an obstacle touches and, where the law has friction, sticks."""
     active = np.isfinite(contact.gap)
     slip = ~((contact.limit > 0) | (active & (contact.friction > 0)))
     zero = np.zeros(len(active))
@@ -385,9 +347,15 @@ class LinearSteps(Protocol):
     def contact_residual(self, residual: np.ndarray) -> np.ndarray:
         """The residual (n_contact, dim) at contact nodes that decides their status, from that at all dofs."""
 
-    def solve(self, equations: Linearised, spring: float) -> np.ndarray:
-        """The change (n_dofs,) for the last residual, with springs at contact relative to the diagonal. LinAlgError if
-        the equations are singular or, without springs, an iterative linear solver does not converge."""
+    def solve(self, equations: Linearised) -> np.ndarray:
+        """The change (n_dofs,) for the last residual. LinAlgError if the equations are singular or an iterative linear
+        solver does not converge."""
+
+    def inside(self) -> tuple[Unknowns, np.ndarray]:
+        """The unknowns of the interior point method, and their load."""
+
+    def outside(self, found: Interior) -> np.ndarray:
+        """The unknowns (n_dofs,) for what the interior point method found."""
 
 
 class CondensedSteps:
@@ -410,12 +378,20 @@ class CondensedSteps:
             self._particular, force = self.condensed.reduce(residual)
         return force.reshape(-1, self.local.system.dim)
 
-    def solve(self, equations: Linearised, spring: float) -> np.ndarray:
+    def inside(self) -> tuple[Unknowns, np.ndarray]:
+        free = ~self.local.system.fixed[self.condensed.contact]
+        with self.run.phase("solve"):
+            return (ContactDofs(self.condensed.matrix, free.reshape(-1, self.local.system.dim)),
+                    self.condensed.reduce(self.local.load)[1][free])
+
+    def outside(self, found: Interior) -> np.ndarray:
+        with self.run.phase("solve"):
+            return self.condensed.recover(found.values.reshape(-1))
+
+    def solve(self, equations: Linearised) -> np.ndarray:
         with self.run.phase("solve"):
             n, dim = equations.force.shape
-            matrix = self.condensed.matrix.copy()
-            matrix[np.diag_indices(n * dim)] += spring * self.condensed.matrix.diagonal()
-            matrix = matrix.reshape(n, dim, n, dim)
+            matrix = self.condensed.matrix.copy().reshape(n, dim, n, dim)
             node = np.arange(n)
             pull = equations.coupling[:, None] * equations.direction
             for k in range(1, dim):
@@ -443,7 +419,8 @@ class CondensedSteps:
 class SparseSteps:
     """Steps on the sparse matrix, of which only rows (and eliminated columns) of contact nodes change."""
 
-    RTOL = 1e-2  # relative residual to which an iterative linear solver solves each step
+    #: relative residual to which an iterative linear solver solves each Newton step, and each interior point step
+    RTOL, INSIDE = 1e-2, 1e-4
 
     def __init__(self, local: LocalProblem, linear: LinearSolver, run: Run) -> None:
         self.local, self.linear, self.run = local, linear, run
@@ -451,7 +428,7 @@ class SparseSteps:
         self._contact = local.system.contact_of[np.repeat(np.arange(local.system.n_nodes),
                                                           np.diff(self._matrix.indptr))]  # of each block's row, or -1
         self._prepared: Prepared | None = None
-        self._prepared_for: tuple[bytes, float] | None = None
+        self._prepared_for: bytes | None = None
 
     @property
     def stiffness(self) -> np.ndarray:
@@ -462,7 +439,13 @@ class SparseSteps:
         self._residual = residual
         return residual.reshape(-1, self.local.system.dim)[self.local.system.nodes]
 
-    def solve(self, equations: Linearised, spring: float) -> np.ndarray:
+    def inside(self) -> tuple[Unknowns, np.ndarray]:
+        return _SparseUnknowns(self), self.local.load
+
+    def outside(self, found: Interior) -> np.ndarray:
+        return found.unknowns
+
+    def solve(self, equations: Linearised) -> np.ndarray:
         system = self.local.system
         released = np.zeros((system.n_nodes, system.dim), dtype=bool)
         released[system.nodes] = equations.prescribed
@@ -472,49 +455,94 @@ class SparseSteps:
         rhs[system.nodes] = equations.force
         released, rhs, change = released.reshape(-1), rhs.reshape(-1), change.reshape(-1)
         with self.run.phase("setup"):
-            matrix = self._contact_rows(equations, spring)
+            matrix = self._contact_rows(equations)
             if change.any():
                 rhs -= matrix @ change
                 self.run.count(1, system.nonzeros)
             rhs[released] = 0.0
-        self._prepare(equations, matrix, released, spring)
+        self._prepare(equations, matrix, released)
         with self.run.phase("solve"):
-            solution = solution_of(self.linear, self._prepared, rhs, self.RTOL)
-        self.run.count(solution.passes, system.nonzeros)
+            solution = self._solution(self._prepared, rhs, self.RTOL)
         if not solution.converged and not isinstance(self.linear, Direct):
-            message = (f"{self.linear!r} stopped after {solution.iterations} iterations at a relative residual of "
-                       f"{solution.residual:.1e}, not {self.RTOL:.0e}: raise max_iterations, or take Direct()")
-            if not spring:
-                raise np.linalg.LinAlgError(message)
-            _LOG.warning(message)
+            raise np.linalg.LinAlgError("the Newton step is not solved")
         return solution.unknowns + change
 
-    def _prepare(self, equations: Linearised, matrix: sparse.bsr_array, released: np.ndarray, spring: float) -> None:
-        key = (equations.key, spring)
+    def solver_with(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        """What solves with blocks (n_contact, dim, dim) added at the contact nodes; None where that is singular."""
+        system, matrix = self.local.system, self._matrix.copy()
+        free = ~system.fixed.reshape(-1, system.dim)[system.nodes]
+        added = np.zeros((system.n_nodes, system.dim, system.dim))
+        added[system.nodes] = blocks * free[:, :, None] * free[:, None, :]
+        row = np.repeat(np.arange(system.n_nodes), np.diff(matrix.indptr))
+        own = row == matrix.indices
+        symmetric = matrix.copy()
+        matrix.data[own] += added[row[own]]
+        symmetric.data[own] += 0.5 * (added + added.swapaxes(1, 2))[row[own]]
+        direct = isinstance(self.linear, Direct)
+        try:
+            with self.run.phase("factorise" if direct else "setup"):
+                prepared = self.linear.setup(matrix, local_near_nullspace(self.local), symmetric=False,
+                                             preconditioner=symmetric)
+        except np.linalg.LinAlgError:
+            return None
+
+        return lambda rhs: self._solution(prepared, rhs, self.INSIDE).unknowns
+
+    def _solution(self, prepared: Prepared, rhs: np.ndarray, rtol: float) -> LinearSolution:
+        solution = solution_of(self.linear, prepared, rhs, rtol)
+        self.run.count(solution.passes, self.local.system.nonzeros)
+        if not solution.converged and not isinstance(self.linear, Direct):
+            _LOG.warning("%r stopped after %d iterations at a relative residual of %.1e, not %.0e: raise "
+                         "max_iterations, or take Direct()", self.linear, solution.iterations, solution.residual, rtol)
+        return solution
+
+    def _prepare(self, equations: Linearised, matrix: sparse.bsr_array, released: np.ndarray) -> None:
+        key = equations.key
         if equations.same_matrix and key == self._prepared_for:
             return
         with self.run.phase("factorise" if isinstance(self.linear, Direct) else "setup"):
             eliminated, basis = without_fixed(matrix, released, copy=False), None
             if not equations.symmetric:
-                basis = without_fixed(self._contact_rows(equations, spring, coupled=False), released, copy=False)
+                basis = without_fixed(self._contact_rows(equations, coupled=False), released, copy=False)
             modes = local_near_nullspace(self.local, released)
             self._prepared = self.linear.setup(eliminated, modes, symmetric=equations.symmetric, preconditioner=basis,
                                                previous=self._prepared)
         self._prepared_for = key
 
-    def _contact_rows(self, equations: Linearised, spring: float, coupled: bool = True) -> sparse.bsr_array:
-        """The matrix with Coulomb coupling (if ``coupled``), curvature and springs in the rows of contact nodes."""
+    def _contact_rows(self, equations: Linearised, coupled: bool = True) -> sparse.bsr_array:
+        """The matrix with Coulomb coupling (if ``coupled``) and curvature in the rows of contact nodes."""
         system, data = self.local.system, self._matrix.data.copy()
         rows = np.flatnonzero(self._contact >= 0)
         diagonal = rows[system.nodes[self._contact[rows]] == self._matrix.indices[rows]]
         node = self._contact[diagonal]
-        if spring:
-            data[diagonal] += spring * self.stiffness[node][:, :, None] * np.eye(system.dim)
         if coupled and not equations.symmetric:
             pull = (equations.coupling[:, None] * equations.direction)[self._contact[rows]]
             data[rows, 1:] -= pull[:, :, None] * data[rows, :1]
         data[diagonal, 1:, 1:] += equations.curvature[node]
         return sparse.bsr_array((data, self._matrix.indices, self._matrix.indptr), shape=self._matrix.shape)
+
+
+class _SparseUnknowns:
+    """All dofs as the unknowns of the interior point method."""
+
+    def __init__(self, steps: SparseSteps) -> None:
+        self.steps, self.system = steps, steps.local.system
+
+    def product(self, unknowns: np.ndarray) -> np.ndarray:
+        self.steps.run.count(1, self.system.nonzeros)
+        return self.system.matrix @ unknowns
+
+    def values(self, unknowns: np.ndarray) -> np.ndarray:
+        return unknowns.reshape(-1, self.system.dim)[self.system.nodes]
+
+    def restricted(self, forces: np.ndarray) -> np.ndarray:
+        result = np.zeros((self.system.n_nodes, self.system.dim))
+        result[self.system.nodes] = forces
+        result.reshape(-1)[self.system.fixed] = 0.0
+        return result.reshape(-1)
+
+    def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        return self.steps.solver_with(blocks)
 
 
 def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None) -> np.ndarray:

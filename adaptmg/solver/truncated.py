@@ -339,11 +339,11 @@ class TruncatedRun:
         problem = self.problems[0]
         with self.run.phase("start"):
             try:
-                solution, steps = coarsest_solution(problem, start.rtol, self.run.unit)
+                solution, steps, passes = coarsest_solution(problem, start.rtol)
             except (np.linalg.LinAlgError, ValueError) as error:
                 _LOG.info("coarsest level: the active set method gives up: %s", error)
                 return np.zeros(problem.n_dofs)
-            self.run.count(steps, problem.matrix.nnz)
+            self.run.count(passes, problem.matrix.nnz)
             self.run.visit(0, "solve", steps)
             return problem.from_prescribed(solution)
 

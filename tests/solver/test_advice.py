@@ -126,7 +126,7 @@ def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
     with caplog.at_level(logging.DEBUG, "adaptmg"):
         result = am.solve(grids, progress=True)
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == len(result.history["cycle"]) and lines[0].startswith("cycle 0: 2.")
+    assert len(lines) == len(result.history["cycle"]) and lines[0].startswith("cycle 0: 1.")
     records = [(one.levelno, one.getMessage()) for one in caplog.records if one.name == "adaptmg.solver.solve"]
     assert [text for level, text in records if level == logging.INFO] == [
         text for level, text in records if "CONVERGED after" in text]

@@ -1,0 +1,306 @@
+r"""interior_point: a contact problem with a small dense matrix, by a primal-dual interior point method.
+
+With w the displacement of the contact nodes in their frames, forces q = f - S w, the pressure p, the gap y, the bound
+B = s + mu p on friction, the slip :math:`\tau` and its bound v, each node has a pair and a pair of cones,
+
+.. math:: p\,y = \epsilon,\quad y = g_0 - w_n;\qquad
+          B v - q_t\cdot\tau = \epsilon,\quad v q_t = B\tau,\quad B \ge |q_t|,\quad v \ge |\tau|,
+
+and at :math:`\epsilon = 0` Coulomb's law exactly: B follows p, so that the equations are not symmetric. A step
+eliminates (v, q_t) and p node by node, which adds a block to S at each node, and solves with one factorisation for a
+predictor (:math:`\epsilon = 0`) and a corrector (S. Mehrotra, SIAM J. Optim. 2, 1992, doi:10.1137/0802028). There is no
+status that could come back, and the number of steps hardly depends on the body.
+
+A plane problem has a second tangent that nothing moves. A state of a node is (w_n, w_1, w_2, p, y, v, q_1, q_2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from scipy import linalg
+
+from adaptmg._numba import inner_kernel, kernel
+from adaptmg.smoother.system import NodalContact
+
+#: steps in a row that better nothing, after which a slack below the second number is at rounding
+_IDLE, _ROUNDING = 4, 1e-5
+#: part of the way to the boundary that a step takes; below the second length a step aims nearer to the central path
+_WAY, _SHORT, _CENTRED = 0.995, 0.3, 0.3
+#: springs of the start, relative to the diagonal; the least energy and displacement that count, over those of the
+#: start: bodies that stick everywhere have none
+_SPRING, _LEAST = 1e-2, 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Interior:
+    """The best iterate of a run."""
+
+    values: np.ndarray  # (n_contact, dim): w, m
+    forces: np.ndarray  # (n_contact, dim): (p, q_t), N
+    unknowns: np.ndarray  # (m,): those of the matrix
+    slack: float  # what is missing in complementarity (over the energy) and in equilibrium (over the forces)
+    steps: int
+
+
+def interior_point(unknowns: Unknowns, load: np.ndarray, contact: NodalContact, stiffness: np.ndarray,
+                   tolerance: float, offset: np.ndarray | float = 0.0, most: int = 60) -> Interior:
+    """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in at most so many steps. ``stiffness``
+    (n_contact, dim), N/m, scales the start, which needs no admissible displacement."""
+    method = _Method(unknowns, load, contact, stiffness, offset)
+    best, steps, since = method.iterate(), 0, 0
+    while steps < most and best.slack > tolerance and not (since >= _IDLE and best.slack < _ROUNDING):
+        if not method.advance():
+            break
+        present, steps = method.iterate(), steps + 1
+        best, since = (present, 0) if present.slack < best.slack else (best, since + 1)
+    return replace(best, steps=steps)
+
+
+class _Method:
+    """The iterate of an interior point method, and its steps."""
+
+    def __init__(self, unknowns: Unknowns, load: np.ndarray, contact: NodalContact, stiffness: np.ndarray,
+                 offset: np.ndarray | float) -> None:
+        n, dim = stiffness.shape
+        self.dim, self.load, self.span = dim, load, unknowns
+        friction = np.where(np.isfinite(contact.gap), contact.friction, 0.0)
+        self.nodes = contact.gap, np.zeros((n, 2)), contact.limit, friction
+        self.nodes[1][:, :dim - 1] = contact.slip_reference
+        self.pairs = max(int(np.isfinite(contact.gap).sum() + ((contact.limit > 0) | (friction > 0)).sum()), 1)
+        self.blocks, self.terms, self.change = np.zeros((n, 3, 3)), np.zeros((n, 4)), np.zeros((n, 8))
+        self.blocks[:, range(dim), range(dim)] = _SPRING * stiffness
+        solve = self._factors()
+        self.unknowns = np.zeros_like(load) if solve is None else solve(load)
+        self.least = _LEAST * float(load @ self.unknowns)
+        self.state = np.zeros((n, 8))
+        self.state[:, :dim] = self.span.values(self.unknowns) + offset
+        self.width = max(_LEAST * np.abs(self.state[:, :3]).max(initial=0.0), 1e-300)
+        _inside(self.state, *self.nodes, _SPRING * stiffness[:, 0])
+
+    def _factors(self) -> Callable[[np.ndarray], np.ndarray] | None:
+        return self.span.factors(np.ascontiguousarray(self.blocks[:, :self.dim, :self.dim]))
+
+    def iterate(self) -> Interior:
+        """The present iterate, measured."""
+        product, forces = self.span.product(self.unknowns), self.state[:, [3, 6, 7][:self.dim]]
+        self.rest = self.load - product - self.span.restricted(forces)
+        self.total, apart, width = _measure(self.state, *self.nodes)
+        energy = max(float(self.unknowns @ product), self.least)
+        size = max(np.abs(self.load).max(initial=0.0), np.abs(product).max(initial=0.0))
+        slack = max(self.total / energy if energy > 0 else np.inf, apart / max(width, self.width),
+                    np.abs(self.rest).max(initial=0.0) / size if size > 0 else 0.0)
+        return Interior(self.state[:, :self.dim].copy(), forces, self.unknowns, slack, 0)
+
+    def advance(self) -> bool:
+        """Take a step, or return False where there is none."""
+        _eliminate(self.state, *self.nodes, self.blocks)
+        solve, mean = self._factors(), self.total / self.pairs
+        if solve is None:
+            return False
+        self.change[:] = 0.0
+        length = min(1.0, self._direct(solve, 0.0, 0.0)[1])
+        aim = min(max(_after(self.state, *self.nodes, self.change, length) / self.total, 0.0), 1.0)**3
+        more, length = self._direct(solve, aim * mean, 1.0 if length >= 0.5 else length * length)
+        if _WAY * length < _SHORT:
+            corrected, shorter, direction = more, length, self.change.copy()
+            more, length = self._direct(solve, _CENTRED * mean, 0.0)
+            if length < shorter:
+                more, length, self.change = corrected, shorter, direction
+        length = min(1.0, _WAY * length)
+        self.state = self.state + length * self.change
+        self.unknowns = self.unknowns + length * more
+        return bool(np.isfinite(self.unknowns).all())
+
+    def _direct(self, solve: Callable[[np.ndarray], np.ndarray], target: float, weight: float
+                ) -> tuple[np.ndarray, float]:
+        """The change of the unknowns towards complementarity of ``target``, with second-order terms of the last change
+        times ``weight``; and how far it may go. The change of the state is left in ``change``."""
+        sides = np.empty((len(self.state), 3))
+        _sides(self.state, *self.nodes, self.change, target, weight, self.terms, sides)
+        more = solve(self.rest + self.span.restricted(sides[:, :self.dim]))
+        self.change[:, :self.dim] = self.span.values(more)
+        return more, _complete(self.state, *self.nodes, self.terms, self.change)
+
+
+class Unknowns(Protocol):
+    """The unknowns e of a matrix S, and what they mean at contact nodes."""
+
+    def product(self, unknowns: np.ndarray) -> np.ndarray:
+        """S e."""
+
+    def values(self, unknowns: np.ndarray) -> np.ndarray:
+        """B e (n_contact, dim)."""
+
+    def restricted(self, forces: np.ndarray) -> np.ndarray:
+        """B'q of forces (n_contact, dim)."""
+
+    def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        """What solves with S + B'DB, D the blocks (n_contact, dim, dim) of the nodes; None where that is singular."""
+
+
+class ContactDofs:
+    """Unknowns that are dofs of contact nodes, with a dense matrix."""
+
+    def __init__(self, matrix: np.ndarray, free: np.ndarray) -> None:
+        self.free, self.shape = np.flatnonzero(free.reshape(-1)), free.shape
+        self.matrix = np.ascontiguousarray(matrix[np.ix_(self.free, self.free)])
+        n, dim = free.shape
+        place = np.full(n * dim, -1)
+        place[self.free] = np.arange(len(self.free))
+        row, column = (np.broadcast_to(x, (n, dim, dim)) for x in (place.reshape(n, dim, 1), place.reshape(n, 1, dim)))
+        self._entries = (row >= 0) & (column >= 0)
+        self._at = row[self._entries], column[self._entries]
+
+    def product(self, unknowns: np.ndarray) -> np.ndarray:
+        return self.matrix @ unknowns
+
+    def values(self, unknowns: np.ndarray) -> np.ndarray:
+        result = np.zeros(self.shape)
+        result.reshape(-1)[self.free] = unknowns
+        return result
+
+    def restricted(self, forces: np.ndarray) -> np.ndarray:
+        return forces.reshape(-1)[self.free]
+
+    def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        matrix = self.matrix.copy()
+        matrix[self._at] += blocks[self._entries]
+        return dense_factors(matrix)
+
+
+def dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+    """What solves with a matrix, which is overwritten; None where it is singular."""
+    lower, pivots, info = linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
+    return None if info else lambda rhs: linalg.lapack.dgetrs(lower, pivots, rhs, trans=1)[0]
+
+
+@inner_kernel
+def _cones(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
+    """(dv, dq) of B dv - tau.dq = e, q dv + v dq = (e_1, e_2)."""
+    dv = (e + (t_1 * e_1 + t_2 * e_2) / v) / (b + (t_1 * q_1 + t_2 * q_2) / v)
+    return dv, (e_1 - q_1 * dv) / v, (e_2 - q_2 * dv) / v
+
+
+@inner_kernel
+def _way(b, q_1, q_2, db, dq_1, dq_2):
+    """Longest step that keeps B >= |q|: the least positive root of a t^2 + 2 h t + c."""
+    a, h = db * db - dq_1 * dq_1 - dq_2 * dq_2, b * db - q_1 * dq_1 - q_2 * dq_2
+    c = max(b * b - q_1 * q_1 - q_2 * q_2, 0.0)
+    step = -b / db if db < 0 else np.inf
+    inside = h * h - a * c
+    if h < 0 and inside >= 0:
+        step = min(step, c / (np.sqrt(inside) - h))
+    elif a < 0:
+        step = min(step, (h + np.sqrt(inside)) / -a)
+    return step
+
+
+@kernel
+def _inside(state, gap, reference, limit, friction, spring):
+    """Pressures and gaps of a start, lifted to a mean size; bounds of slips above these."""
+    n, pressures, gaps, slips, count, rough = len(state), 0.0, 0.0, 0.0, 0, 0
+    for i in range(n):
+        if np.isfinite(gap[i]):
+            pressures += abs(spring[i] * state[i, 0])
+            gaps += abs(gap[i] - state[i, 0])
+            count += 1
+        if limit[i] > 0 or friction[i] > 0:
+            slips += np.hypot(state[i, 1] - reference[i, 0], state[i, 2] - reference[i, 1])
+            rough += 1
+    pressures, gaps, slips = pressures / max(count, 1), gaps / max(count, 1), slips / max(rough, 1)
+    for i in range(n):
+        state[i, 4] = state[i, 5] = 1.0
+        if np.isfinite(gap[i]):
+            state[i, 3] = max(spring[i] * state[i, 0], pressures)
+            state[i, 4] = max(gap[i] - state[i, 0], gaps)
+        if limit[i] > 0 or friction[i] > 0:
+            state[i, 5] = (1.1 * np.hypot(state[i, 1] - reference[i, 0], state[i, 2] - reference[i, 1])
+                           + (slips if slips > 0 else max(gaps, 1e-300)))
+
+
+@kernel
+def _measure(state, gap, reference, limit, friction):
+    """The sum of the products of all pairs, the largest error of a gap, and the largest displacement."""
+    total, apart, size = 0.0, 0.0, 0.0
+    for i in range(len(state)):
+        w, w_1, w_2, p, y, v, q_1, q_2 = state[i]
+        size = max(size, abs(w), abs(w_1), abs(w_2))
+        if np.isfinite(gap[i]):
+            total += p * y
+            apart = max(apart, abs(gap[i] - w - y))
+        if limit[i] > 0 or friction[i] > 0:
+            total += (limit[i] + friction[i] * p) * v - q_1 * (w_1 - reference[i, 0]) - q_2 * (w_2 - reference[i, 1])
+    return total, apart, size
+
+
+@kernel
+def _after(state, gap, reference, limit, friction, change, length):
+    """The sum of the products after a step."""
+    return _measure(state + length * change, gap, reference, limit, friction)[0]
+
+
+@kernel
+def _eliminate(state, gap, reference, limit, friction, blocks):
+    """The blocks that the eliminated (v, q_t) and p add at each node."""
+    for i in range(len(state)):
+        _, w_1, w_2, p, y, v, q_1, q_2 = state[i]
+        t_1, t_2, mu = w_1 - reference[i, 0], w_2 - reference[i, 1], friction[i]
+        b = limit[i] + mu * p
+        blocks[i] = 0.0
+        if np.isfinite(gap[i]):
+            blocks[i, 0, 0] = p / y
+        if limit[i] > 0 or mu > 0:
+            for j, e, e_1, e_2 in ((1, q_1, b, 0.0), (2, q_2, 0.0, b)):
+                _, blocks[i, 1, j], blocks[i, 2, j] = _cones(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2)
+            _, k_1, k_2 = _cones(b, v, q_1, q_2, t_1, t_2, -v * mu, t_1 * mu, t_2 * mu)
+            blocks[i, 1, 0], blocks[i, 2, 0] = k_1 * blocks[i, 0, 0], k_2 * blocks[i, 0, 0]
+
+
+@kernel
+def _sides(state, gap, reference, limit, friction, before, target, weight, terms, sides):
+    """Right-hand sides of the nodes, and what :func:`_complete` needs of them."""
+    for i in range(len(state)):
+        w, w_1, w_2, p, y, v, q_1, q_2 = state[i]
+        _, d_1, d_2, dp, dy, dv, dq_1, dq_2 = before[i]
+        t_1, t_2, mu = w_1 - reference[i, 0], w_2 - reference[i, 1], friction[i]
+        b, shift = limit[i] + mu * p, 0.0
+        if np.isfinite(gap[i]):
+            shift = (target - p * y - weight * dp * dy - p * (gap[i] - w - y)) / y
+        sides[i] = 0.0
+        sides[i, 0] = terms[i, 0] = -shift
+        if limit[i] > 0 or mu > 0:
+            e = target - (b * v - q_1 * t_1 - q_2 * t_2) - weight * (mu * dp * dv - dq_1 * d_1 - dq_2 * d_2)
+            e_1 = b * t_1 - v * q_1 - weight * (dv * dq_1 - mu * dp * d_1)
+            e_2 = b * t_2 - v * q_2 - weight * (dv * dq_2 - mu * dp * d_2)
+            terms[i, 1], terms[i, 2], terms[i, 3] = e, e_1, e_2
+            _, k_1, k_2 = _cones(b, v, q_1, q_2, t_1, t_2, e - v * mu * shift, e_1 + t_1 * mu * shift,
+                                 e_2 + t_2 * mu * shift)
+            sides[i, 1], sides[i, 2] = -k_1, -k_2
+
+
+@kernel
+def _complete(state, gap, reference, limit, friction, terms, change):
+    """The change of the eliminated unknowns from that of w; returns how far it may go."""
+    longest = 1e30
+    for i in range(len(state)):
+        w, w_1, w_2, p, y, v, q_1, q_2 = state[i]
+        t_1, t_2, mu = w_1 - reference[i, 0], w_2 - reference[i, 1], friction[i]
+        d, d_1, d_2 = change[i, 0], change[i, 1], change[i, 2]
+        b, dp = limit[i] + mu * p, 0.0
+        if np.isfinite(gap[i]):
+            dp, dy = p / y * d - terms[i, 0], gap[i] - w - y - d
+            change[i, 3], change[i, 4] = dp, dy
+            if dp < 0:
+                longest = min(longest, -p / dp)
+            if dy < 0:
+                longest = min(longest, -y / dy)
+        if limit[i] > 0 or mu > 0:
+            dv, dq_1, dq_2 = _cones(b, v, q_1, q_2, t_1, t_2, terms[i, 1] - v * mu * dp + q_1 * d_1 + q_2 * d_2,
+                                    terms[i, 2] + b * d_1 + t_1 * mu * dp, terms[i, 3] + b * d_2 + t_2 * mu * dp)
+            change[i, 5], change[i, 6], change[i, 7] = dv, dq_1, dq_2
+            longest = min(longest, _way(b, q_1, q_2, mu * dp, dq_1, dq_2), _way(v, t_1, t_2, dv, d_1, d_2))
+    return longest
