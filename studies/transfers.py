@@ -5,18 +5,21 @@
 GRECO bar with friction 1 (2D), block with friction .3 (3D), independent meshes four (3D: two) times finer at contact,
 sizes halved from level to level. Every transfer serves the default method and the monotone one (V(2,0)), with the
 nested start, to 1e-8; fine contact nodes interpolate along the coarse contact boundary whatever the transfer does
-elsewhere. Then two grids with a growing ratio of their sizes, from zero. Point interpolation builds quickest and keeps
+elsewhere. Then two grids with a growing ratio of their sizes, from zero, and hierarchies of NGSolve's locally refined
+meshes next to those of the package's own mesher. Point interpolation builds quickest and keeps
 the coarse matrices sparse; what decides is the ratio of sizes of neighbouring levels.
 """
 
 import time
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from common import Output, drawing, main, warm_up
+from common import Output, drawing, main, processor_time, timed, warm_up
 
 import adaptmg as am
-from adaptmg.mesh import graded
+from adaptmg.estimate.reference_error import Reference, energy_error
+from adaptmg.mesh import graded, quality
 
 TRANSFERS = {"Interpolation": am.Interpolation(), "PseudoL2": am.PseudoL2(), "L2": am.L2(),
              "QuasiInterpolation": am.QuasiInterpolation(), "LumpedL2": am.LumpedL2()}
@@ -67,8 +70,39 @@ def two_grids(where: str, ratio: int) -> dict:
             "rate": default.rate, "monotone_cycles": monotone.cycles, "monotone_rate": monotone.rate}
 
 
+#: case, sizes away from contact, coarse to fine, m, and ratio at contact
+MESHED = {"GRECO bar": (am.cases.greco_bar, (20e-3, 10e-3, 5e-3, 2.5e-3, 1.25e-3), 4),
+          "dovetail": (am.cases.dovetail, (8e-3, 4e-3, 2e-3, 1e-3), 4),
+          "bolted junction": (am.cases.bolted_junction, (12e-3, 7e-3, 4e-3, 2.4e-3), 2)}
+
+
+@lru_cache(maxsize=1)
+def reference(case: str) -> Reference:
+    """A solution on meshes four times finer at contact than the finest that are compared."""
+    make, sizes, ratio = MESHED[case]
+    grids = am.Hierarchy.graded(make(), [*sizes, sizes[-1] / 2, sizes[-1] / 4], ratio)
+    return Reference.of(grids, am.solve(grids))
+
+
+def mesher(case: str, mesher: str, levels: int) -> dict:
+    """Meshes of one mesher, and the solution with the default method."""
+    warm_up()
+    make, sizes, ratio = MESHED[case]
+    problem = make()
+    graded(problem.domain, sizes[0], problem.pair_boundaries, ratio, mesher=mesher)
+    begin = processor_time()
+    meshes = [graded(problem.domain, size, problem.pair_boundaries, ratio, mesher=mesher) for size in sizes[:levels]]
+    meshed = processor_time() - begin
+    grids = am.Hierarchy.from_meshes(problem, meshes)
+    result, seconds = timed(grids, am.FullMultigrid())
+    return {"nodes": grids.finest.n_nodes, "smallest_angle": min(quality(mesh).min_angle for mesh in meshes),
+            "size_ratio": max(level.mesh_ratio for level in grids.levels[1:]), "cycles": result.cycles,
+            "work": result.work_units, "energy_error": 100 * energy_error(reference(case), result).relative,
+            "mesh_s": meshed, "solution_s": seconds}
+
+
 def study(out: Output) -> None:
-    """Compute every transfer, then every ratio."""
+    """Compute every transfer, every ratio, and the meshes of both meshers."""
     points = [{"dim": dim, "levels": levels, "transfer": name} for dim, levels in (
         [(2, 4)] if out.quick else [(2, 6 if out.full else 5), (3, 3)]) for name in TRANSFERS]
     table = am.Study(run, points, out.store, name="transfers").run(throw=True)
@@ -94,6 +128,15 @@ def study(out: Output) -> None:
            xticks=ratios["ratio"].unique())
     figure.legend(loc="outside right upper")
     out.figure("ratios", figure, "Convergence rate of two grids against the ratio of their mesh sizes")
+    both = am.Study(mesher, {"case": list(MESHED), "mesher": ["own", "netgen"]}, out.store, name="meshers",
+                    fixed={"levels": 3 if out.quick else 4}).run(throw=True)
+    out.table("meshers", both[["case", "mesher", "nodes", "smallest_angle", "size_ratio", "cycles", "work",
+                               "energy_error", "mesh_s", "solution_s"]],
+              "Hierarchies of NGSolve's locally refined meshes next to the package's own", "Size ratio: largest local "
+              "one of neighbouring levels. Energy error: against a reference on meshes four times finer or more.",
+              units={"work": "WU", "energy_error": "%", "smallest_angle": "°"},
+              formats={"smallest_angle": ".1f", "size_ratio": ".1f", "work": ".0f", "energy_error": ".2f",
+                       "mesh_s": ".3f", "solution_s": ".3f"})
     plane = table[(table["dim"] == 2) & (table["transfer"] == "Interpolation")]
     out.check("cycles of the default method with interpolation, 2D", float(plane["default_cycles"].iloc[0]), high=12)
 
