@@ -299,7 +299,7 @@ class CoarseMatrix:
         self._unknowns, self._factor = aggregates.unknowns, None
         band = np.bincount(aggregates.entries, half.reshape(-1), aggregates.band * len(self._sums))
         band = band.reshape(-1, aggregates.band).T
-        band[0] = 2 * band[0] + _raised(2 * band[0])
+        band[0] = 2 * band[0] + raised(2 * band[0])
         if count:
             factor, failed = dpbtrf(band, lower=1, overwrite_ab=1)
             # a motion that nothing holds: the sweeps alone precondition too
@@ -312,7 +312,7 @@ class CoarseMatrix:
             _prolong(self._zero, self._sums, *self._given, result)
 
 
-def _raised(diagonal: np.ndarray) -> np.ndarray:
+def raised(diagonal: np.ndarray) -> np.ndarray:
     """What is added to the diagonal of the coarse matrix."""
     # motions that the status takes away altogether
     most = diagonal.max(initial=0.0)

@@ -24,7 +24,8 @@ from adaptmg._text import in_html_lines, shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.solver.aggregates import Aggregates, aggregates_of
-from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, product_and_diagonal, residual_energy
+from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, correction, product_and_diagonal
+from adaptmg.solver.status_change import AtNodes, changed_status
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,8 +43,9 @@ class Certificate:
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: mostly 0 to 10 %
         too large, seldom too small. Where a solve stopped far below its rtol fewer steps do: one below .1 rtol, which
-        may miss half of it, two below .6, which may say half too much. With ``bound=True`` by a factorisation: exact
-        for this status.
+        may miss half of it, two below .6, which may say half too much. Where the corrected displacement contradicts the
+        status, the status may change (:mod:`adaptmg.solver.status_change`). With ``bound=True`` by a factorisation:
+        exact for this status, and infinite where it leaves a motion free that is loaded.
     energy_rounding : float
         The part of it that rounding explains.
     exact_energy : bool
@@ -102,7 +104,7 @@ class Certificate:
                 f"{self.energy_norm**2:.3g} N m", f"{'':<22} {'largest':>9} {'in all':>9} {'':<4} {'relative':>9}"]
         rows += [f"{line.name:<22} {line.largest:>9.2e} {line.total:>9.2e} {line.unit:<4} {line.relative:>9.2e}"
                  for line in self.lines]
-        how = "exact for this contact status" if self.exact_energy else "estimated, contact status held"
+        how = "exact for this contact status" if self.exact_energy else "estimated"
         return "\n".join([*rows, f"{'energy error':<22} {'':>9} {'':>9} {'':<4} {self.energy_error:>9.2e}  ({how})"])
 
 
@@ -134,6 +136,10 @@ Known = tuple[np.ndarray, float, np.ndarray]
 _OPEN, _SLIP, _STICK = 0, 1, 2
 #: share of rtol up to which one step estimates the energy error: further steps would make it a few times larger at most
 _NEGLIGIBLE = 0.1
+#: share of the correction that penetrates, or of the largest pressure that pulls, from which on a status is wrong
+_WRONG = 0.05
+#: times a change of the status that may be missing after it
+_FOUND = 2.0
 _EPSILON = float(np.finfo(float).eps)
 
 
@@ -194,7 +200,9 @@ class Evidence:
         self.at_contact = self.unexplained[self.nodes]
         self.tally = Tally(self.unexplained, self.fixed, self.u, self.unknowns,
                            problem.fixed_values.reshape(shape), self.diagonal)
-        self.force = max(_norm(problem.physical_forces(problem.load)), self.tally.supports, _norm(self.claimed))
+        load = problem.physical_forces(problem.load)
+        self.force = max(_norm(load), self.tally.supports, _norm(self.claimed))
+        self.total = float(max(np.abs(load).sum(), self.tally.in_supports, np.abs(self.claimed).sum()))
         self.length = self.tally.displacement
         # a row sums terms of the size of its diagonal times its displacement
         self.rounding = 8 * _EPSILON * self.tally.stiff
@@ -274,52 +282,90 @@ class Evidence:
     def balance(self) -> Condition:
         """Sum of loads, supports, claimed contact forces and elastic foundations: what free dofs leave unexplained."""
         sums = self.tally.sums
-        # n forces of random sign sum up to more than one of them
-        scale = self.force * np.sqrt(self.problem.n_nodes)
         total = float(np.linalg.norm(sums))
-        return Condition("balance", float(np.abs(sums).max()), total, "N", _over(total, scale),
-                         _over(self.rounding, scale))
+        # n roundings of random sign
+        rounding = self.rounding * np.sqrt(self.problem.n_nodes)
+        return Condition("balance", float(np.abs(sums).max()), total, "N", _over(total, self.total),
+                         _over(rounding, self.total))
 
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
         """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
         Overwrites what is unexplained, and the diagonal blocks."""
-        problem = self.problem
-        status, change, unlawful = self._frozen()
-        forces = problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
-        forces[problem.contact.nodes] += unlawful
-        matrix = problem.matrix
-        moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
-        del change
-        rest = residual_energy(matrix, self.diagonal, status, forces, aggregates,
-                               (_NEGLIGIBLE * rtol * self.energy) ** 2)
+        problem, sigma = self.problem, self.sigma[:, None]
         rounding = 32 * _EPSILON * self.tally.stiff_energy
-        return _over(moved + np.sqrt(rest), self.energy), _over(rounding, self.energy)
-
-    def _frozen(self) -> tuple[FrozenStatus, np.ndarray, np.ndarray]:
-        """The status that the displacement is nearest to, the change that meets it, and the forces against the law. At
-        each node the cheaper is taken, in the measure of its stiffness: to move onto the obstacle (to zero slip), or to
-        give the force up (to turn it against the slip)."""
-        contact, dim = self.problem.contact, self.problem.dim
-        here, d = (~self.fixed[contact.nodes]).astype(float), self.stiffness
         # at the nodes that carry the conditions in the equations
-        scale, sigma = np.abs(self.sigma), self.sigma[:, None]
-        gap, pressure = self.gap / scale, self.pressure * scale
-        slip, friction = self.slip / sigma, self.friction * sigma * here
+        here = AtNodes(self.gap / np.abs(self.sigma), self.slip / sigma, self.pressure * np.abs(self.sigma),
+                        self.friction * sigma)
+        forces = problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
+        negligible = (_NEGLIGIBLE * rtol * self.energy) ** 2
+        error, wrong = self._held(here, self.unknowns, forces, self.diagonal, aggregates, negligible)
+        if wrong and aggregates is not None and not error <= rounding:
+            error = self._with_changed_status(here, error, aggregates)
+        return _over(error, self.energy), _over(rounding, self.energy)
+
+    def _held(self, here: AtNodes, unknowns: np.ndarray, forces: np.ndarray, diagonal: np.ndarray,
+              aggregates: Aggregates | None, negligible: float = 0.0) -> tuple[float, bool]:
+        """||u - u_h||_A with the contact status held, infinite where it leaves a loaded motion free, and whether the
+        corrected displacement contradicts this status. Overwrites the forces and the diagonal."""
+        contact, matrix = self.problem.contact, self.problem.matrix
+        status, change, lawful, closed = self._frozen(here, unknowns)
+        forces[contact.nodes] += here.forces(contact.normals) - lawful
+        moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
+        exerted = forces[contact.nodes] + lawful
+        found = correction(matrix, diagonal, status, forces, aggregates, negligible, self.rounding)
+        gap = here.gap - _along(change[contact.nodes] - found.moved, contact.normals)
+        pressure = -_along(exerted - found.forces, contact.normals)
+        deepest = -_WRONG * np.linalg.norm(found.moved, axis=1).max(initial=0.0)
+        pulled = -_WRONG * max(pressure.max(initial=0.0), here.pressure.max(initial=0.0))
+        wrong = np.where(closed, pressure < pulled, gap < deepest).any() or not np.isfinite(found.energy)
+        return float(moved + np.sqrt(found.energy)), bool(wrong)
+
+    def _with_changed_status(self, here: AtNodes, held: float, aggregates: Aggregates) -> float:
+        """The energy error where the contact status may change: of the change in the span of the aggregates, and what
+        is missing after it with the status held; ``held``: what is missing without it."""
+        problem, contact, matrix = self.problem, self.problem.contact, self.problem.matrix
+        residual = problem.load - matrix @ self.unknowns.reshape(-1)
+        found = changed_status(problem, residual, here, self.stiffness, self.limit * np.abs(self.sigma))
+        if found is None:
+            return held
+        change, exerted = found
+        images, diagonal = product_and_diagonal(matrix, change)
+        size, nodal = np.sqrt(max(_sum(change, images), 0.0)), change.reshape(self.u.shape)
+        moved, normals = nodal[contact.nodes], contact.normals
+        along, pressure = _along(moved, normals), -_along(exerted, normals)
+        there = AtNodes(here.gap - along, here.slip + moved - along[:, None] * normals, pressure,
+                         exerted + pressure[:, None] * normals)
+        forces = (images - residual).reshape(self.u.shape)
+        forces[contact.nodes] -= exerted
+        after, _ = self._held(there, self.unknowns + nodal, forces, diagonal, aggregates)
+        changed = float(np.hypot(size, after))
+        # where much more is missing after the change, the aggregates have not found the status
+        return changed if after <= _FOUND * size else min(changed, max(held, size))
+
+    def _frozen(self, here: AtNodes, unknowns: np.ndarray
+                ) -> tuple[FrozenStatus, np.ndarray, np.ndarray, np.ndarray]:
+        """The status that the displacement is nearest to, the change that meets it, the lawful contact forces, and
+        which nodes touch. At each node the cheaper is taken, in the measure of its stiffness: to move onto the obstacle
+        (to zero slip), or to give the force up (to turn it against the slip)."""
+        contact, dim = self.problem.contact, self.problem.dim
+        free, d = (~self.fixed[contact.nodes]).astype(float), self.stiffness
+        gap, pressure, slip, friction = here.gap, here.pressure, here.slip, here.friction * free
         closed = d * gap**2 < np.maximum(pressure, 0.0) ** 2 / d + d * np.minimum(gap, 0.0) ** 2
         closed |= gap < 0
-        size, limit = np.linalg.norm(slip, axis=1), np.where(closed, self.bound, self.limit) * scale
+        size = np.linalg.norm(slip, axis=1)
+        limit = self.limit * np.abs(self.sigma) + np.where(closed, self.coefficient * np.maximum(pressure, 0.0), 0.0)
         against = -_directions(slip)
         excess = np.maximum(np.linalg.norm(friction, axis=1) - limit, 0.0)
-        turned = limit[:, None] * against * here
+        turned = limit[:, None] * against * free
         stays = (limit > 0) & (d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d)
         # from no slip at all the node moves as the force drags it
         beyond = stays & (excess > 0)
         against[beyond] = _directions(friction)[beyond]
-        lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * here)
+        lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * free)
         constant, change = _constant(self.problem), np.zeros_like(self.u)
-        change[contact.nodes] = np.where(closed, gap, 0.0)[:, None] * contact.normals - stays[:, None] * slip * here
+        change[contact.nodes] = np.where(closed, gap, 0.0)[:, None] * contact.normals - stays[:, None] * slip * free
         fixed = constant.fixed
-        change.reshape(-1)[fixed] = self.problem.fixed_values[fixed] - self.unknowns.reshape(-1)[fixed]
+        change.reshape(-1)[fixed] = self.problem.fixed_values[fixed] - unknowns.reshape(-1)[fixed]
         slides, kept, tangents = ~stays | beyond, constant.free.copy(), constant.tangents
         kept[:len(closed)] *= slides[:, None, None] * tangents + ~closed[:, None, None] * constant.normals
         turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))
@@ -327,7 +373,7 @@ class Evidence:
         dragged = (self.coefficient * (slides & closed))[:, None, None] * against[:, :, None] * contact.normals[:, None]
         pressed = -np.where(closed, pressure, 0.0)[:, None] * contact.normals
         status = FrozenStatus(constant.held, kept, contact.nodes, turning[:, None, None] * across, dragged)
-        return status, change, self.claimed * sigma - pressed - lawful
+        return status, change, pressed + lawful, closed
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,6 +404,11 @@ def _directions(vectors: np.ndarray) -> np.ndarray:
     return np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
 
 
+def _along(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Normal components (n,)."""
+    return np.einsum("nd,nd->n", vectors, normals)
+
+
 def _shares(values: np.ndarray, scale: float) -> np.ndarray:
     """What is positive, over a scale."""
     return np.maximum(values, 0.0) / (scale or 1.0)
@@ -365,7 +416,7 @@ def _shares(values: np.ndarray, scale: float) -> np.ndarray:
 
 def _over(value: float, scale: float) -> float:
     """A ratio; 1 for something over nothing."""
-    return 0.0 if value == 0.0 else float(value / (scale or value))
+    return 0.0 if value == 0.0 else float(value / scale) if scale else 1.0
 
 
 def _norm(vector: np.ndarray) -> float:

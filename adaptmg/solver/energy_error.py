@@ -40,6 +40,11 @@ _LEAST, _MISSING, _SETTLED = 3, 0.3, 0.7
 _SURER = 3.0
 #: steps at most, without and with Coulomb friction, which needs all directions
 _MOST, _MOST_COULOMB = 40, 16
+#: a direction whose energy is below this share of what the preconditioner makes of it is a motion that nothing holds
+_FREE = 1e-5
+#: of a factorised matrix: what is added to its diagonal, solves, and the share of a residual that they may leave if
+#: nothing is free
+_SHIFT, _REFINEMENTS, _BALANCED = 1e-14, 4, 1e-6
 #: dofs up to which a factorisation is taken where the steps do not settle, by dimension
 _FACTORISED = {2: 100_000, 3: 30_000}
 
@@ -210,93 +215,100 @@ class _Preconditioner:
         return result, image
 
 
-def residual_energy(matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenStatus, residual: np.ndarray,
-                    aggregates: Aggregates | None, negligible: float = 0.0) -> float:
-    """Energy of the displacement that a residual brings about in the space of a status, N m. If it is at most
-    ``negligible`` after the first step, 36 times that after the second, or 81 times after the third, that is the
-    answer. The diagonal blocks and the residual are overwritten."""
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Of a displacement, in the space of its status."""
+
+    energy: float  # N m; infinite where the status leaves a motion free that is loaded
+    moved: np.ndarray  # (n_contact, dim): the correction at the contact nodes, m
+    forces: np.ndarray  # (n_contact, dim): the matrix times it there, N
+
+
+def correction(matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenStatus, residual: np.ndarray,
+               aggregates: Aggregates | None, negligible: float = 0.0, rounding: float = 0.0) -> Correction:
+    """The correction that a residual brings about in the space of a status. If its energy is at most ``negligible``
+    after the first step, 36 times that after the second, or 81 times after the third, that is the answer. A residual
+    whose norm is at most ``rounding`` loads no motion. The diagonal blocks and the residual are overwritten."""
     status.project(residual)
-    size = _dot(residual, residual)
-    if not np.isfinite(size):
-        return float("inf")
-    if size == 0.0:
-        return 0.0
+    size, none = _dot(residual, residual), np.zeros((len(status.nodes), residual.shape[1]))
+    if not 0.0 < size < np.inf:
+        return Correction(0.0 if size == 0.0 else np.inf, none, none)
     if aggregates is None:
-        return _factorised(matrix, status, residual)
+        return _factorised(matrix, status, residual, rounding)
     given = residual.copy() if matrix.shape[0] <= _FACTORISED[residual.shape[1]] else None
     precondition = _Preconditioner(matrix, diagonal, status, aggregates)
-    energy, settled = _estimated(matrix, status, residual, precondition, negligible)
-    if not settled and given is not None:
-        try:
-            return _factorised(matrix, status, given)
-        except RuntimeError:
-            return energy  # a motion that nothing holds
-    return energy
+    found, settled = _estimated(matrix, status, residual, precondition, negligible)
+    return found if settled or given is None else _factorised(matrix, status, given, rounding)
 
 
 def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner,
-               negligible: float) -> tuple[float, bool]:
-    """A Galerkin solution's energy, and whether further steps would change it little; overwrites the residual."""
+               negligible: float) -> tuple[Correction, bool]:
+    """A Galerkin solution, and whether further steps would change it little; overwrites the residual."""
     symmetric, energy, ritz = status.symmetric, 0.0, np.inf
-    kept: list[tuple[np.ndarray, np.ndarray]] = []  # orthonormal directions, and what the equations make of them
+    # orthonormal directions, what the equations make of them, and them and the matrix times them at contact nodes
+    kept: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     equations, load, shares = np.empty((_MOST_COULOMB, _MOST_COULOMB)), np.empty(_MOST_COULOMB), np.empty(0)
     # preconditioned residuals, of unit length in the norm of the preconditioner, by the directions
     basis = np.zeros((_MOST, _MOST))
+    at, total, free = status.nodes, np.zeros((2, len(status.nodes), residual.shape[1])), float("inf")
     for step in range(1, (_MOST if symmetric else _MOST_COULOMB) + 1):
         direction, forces = precondition(residual)
         product, before = _dot(residual, direction), energy
         if not product > 0.0:
-            return energy, True
-        at = status.nodes
+            return Correction(energy, *total), True
+        here = np.stack([direction[at], forces[at]])
         dragged = np.einsum("nij,nj->ni", status.dragged, forces[at])
         forces[at] += np.einsum("nij,nj->ni", status.stiffening, direction[at])
         square = _dot(direction, forces)
-        overlaps = [_dot(other, forces) for other, _ in kept]
+        overlaps = [_dot(other, forces) for other, *_ in kept]
         forces[at] += dragged
         status.project(forces)
-        for overlap, (other, of_other) in zip(overlaps, kept, strict=True):
+        for overlap, (other, of_other, there) in zip(overlaps, kept, strict=True):
             _add(-overlap, other, direction)
             _add(-overlap, of_other, forces)
+            here -= overlap * there
             square -= overlap * overlap
-        if not square > 0.0:
-            return energy, False  # a motion that nothing holds
-        direction /= np.sqrt(square)
-        forces /= np.sqrt(square)
+        if not square > _FREE * product:
+            return Correction(free, *total), False
+        for vector in (direction, forces, here):
+            vector /= np.sqrt(square)
         if symmetric:
             share = _dot(direction, residual)
-            kept = [(direction, forces)]
+            kept = [(direction, forces, here)]
             _add(-share, forces, residual)
+            total += share * here
             energy += share * share
         else:
             row = equations[step - 1]
-            equations[:step - 1, step - 1] = [_dot(v, forces) for v, _ in kept]
-            row[:step - 1] = [_dot(direction, f) for _, f in kept]
+            equations[:step - 1, step - 1] = [_dot(v, forces) for v, *_ in kept]
+            row[:step - 1] = [_dot(direction, f) for _, f, _ in kept]
             row[step - 1] = _dot(direction, forces)
-            kept.append((direction, forces))
+            kept.append((direction, forces, here))
             # what is left of the load and what the earlier directions take of it
             taken = np.append(shares, 0.0)
             load[step - 1] = _dot(direction, residual) + taken @ row[:step]
             try:
                 shares = np.linalg.solve(equations[:step, :step], load[:step])
             except np.linalg.LinAlgError:
-                return energy, False
-            for share, (_, f) in zip(shares - taken, kept, strict=True):
+                return Correction(free, *total), False
+            for share, (_, f, there) in zip(shares - taken, kept, strict=True):
                 _add(-share, f, residual)
+                total += share * there
             energy = float(shares @ shares)
         if energy <= negligible:
-            return energy, True
+            return Correction(energy, *total), True
         basis[step - 1 - len(overlaps):step, step - 1] = np.append(overlaps, np.sqrt(square)) / np.sqrt(product)
         last, ritz = ritz, np.linalg.svd(basis[:step, :step], compute_uv=False)[-1] ** 2
         whole = max(before + product / ritz, energy)
         left = whole - energy if symmetric else max(whole - energy, abs(energy - before))
         if step > 1 and whole <= (min(step, _LEAST) * _SURER) ** 2 * negligible:
-            return whole, True
+            return Correction(whole, *total), True
         if step >= _LEAST and left <= _MISSING * energy and ritz >= _SETTLED * last:
-            return whole, True
-    return energy, False
+            return Correction(whole, *total), True
+    return Correction(energy, *total), False
 
 
-def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray) -> float:
+def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, rounding: float) -> Correction:
     n, dim = residual.shape
     eye = np.tile(np.eye(dim), (n, 1, 1))
 
@@ -308,10 +320,20 @@ def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.nda
     keep = by_node(status.held, status.kept, eye)
     stiffening, dragged = (by_node(status.nodes, blocks, 0 * eye) for blocks in (status.stiffening, status.dragged))
     whole = keep @ (matrix + stiffening) + keep @ dragged @ matrix
-    # what may not move gets a diagonal of the size of the others
-    rest = np.abs(matrix.diagonal()).max() * (sparse.eye_array(matrix.shape[0]) - keep)
-    found = splu(sparse.csc_array(whole @ keep + rest)).solve(residual.reshape(-1))
-    return max(_dot(found.reshape(n, dim), (matrix @ found).reshape(n, dim)), 0.0)
+    # what may not move gets a diagonal of the size of the others, and what is free a little
+    most, every = np.abs(matrix.diagonal()).max(), sparse.eye_array(matrix.shape[0])
+    whole = sparse.csc_array(whole @ keep + most * (every - keep))
+    factors, found, rest = splu(whole + _SHIFT * most * every), np.zeros(residual.size), residual.reshape(-1)
+    most_left = max(_BALANCED * np.linalg.norm(rest), rounding)
+    for _ in range(_REFINEMENTS):
+        found += factors.solve(rest)
+        rest = residual.reshape(-1) - whole @ found
+        if np.linalg.norm(rest) <= most_left:
+            break
+    image = (matrix @ found).reshape(n, dim)
+    nodal = found.reshape(n, dim)
+    energy = max(_dot(nodal, image), 0.0) if np.linalg.norm(rest) <= most_left else float("inf")
+    return Correction(energy, nodal[status.nodes], image[status.nodes])
 
 
 def _add(factor: float, vector: np.ndarray, to: np.ndarray) -> None:
@@ -329,13 +351,15 @@ def _dot_of_rows(first: int, last: int, a: np.ndarray, b: np.ndarray) -> float:
 
 @kernel
 def _tally(unexplained, fixed, physical, unknowns, values, diagonal, squares, largest, sums):
-    """Squares and largest entries of: free forces, forces in supports, prescribed values missed; displacements."""
+    """Squares and largest entries of: free forces, forces in supports, prescribed values missed; displacements. Sums
+    of free forces by component, and of the sizes of those in supports."""
     for i in range(len(unexplained)):
         for k in range(unexplained.shape[1]):
             force, u, stiffness = abs(unexplained[i, k]), abs(physical[i, k]), abs(diagonal[i, k, k])
             if fixed[i, k]:
                 missed = abs(unknowns[i, k] - values[i, k])
                 squares[1] += force * force
+                sums[-1] += force
                 squares[2] += missed * missed
                 largest[2] = max(largest[2], missed)
             else:
@@ -352,8 +376,9 @@ class Tally:
 
     def __init__(self, unexplained: np.ndarray, fixed: np.ndarray, physical: np.ndarray, unknowns: np.ndarray,
                  values: np.ndarray, diagonal: np.ndarray) -> None:
-        squares, largest, self.sums = np.zeros(5), np.zeros(4), np.zeros(unexplained.shape[1])
-        _tally(unexplained, fixed, physical, unknowns, values, diagonal, squares, largest, self.sums)
+        squares, largest, sums = np.zeros(5), np.zeros(4), np.zeros(unexplained.shape[1] + 1)
+        _tally(unexplained, fixed, physical, unknowns, values, diagonal, squares, largest, sums)
+        self.sums, self.in_supports = sums[:-1], float(sums[-1])
         # the larger of NaN and a number is the number: the squares know
         largest[~np.isfinite(squares[:4])] = np.nan
         self.free, self.supports, self.moved, self.stiff, self.stiff_energy = np.sqrt(squares).tolist()

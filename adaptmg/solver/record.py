@@ -132,7 +132,7 @@ class Run:
         with self.phase("certificate"):
             checked = self.examiner(solved, rtol).checked
         if checked.energy_error > max(rtol, checked.energy_rounding):
-            return checked.energy_error / rtol
+            return min(checked.energy_error, 1.0) / rtol
         return 1.0 if checked.contradictions(rtol) else 0.0
 
 

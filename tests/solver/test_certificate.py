@@ -198,6 +198,63 @@ def test_the_estimate_misses_no_errors_that_converge_slowly(seed):
         assert 0.93 * bound <= estimate <= 1.2 * bound
 
 
+def scaled_ring(length, force):
+    """A ring that contact alone holds, above a plane, its lengths and pressures scaled."""
+    return am.Hierarchy.graded(am.ContactProblem(
+        name="ring", domain=am.Rectangle(width=length, height=length, origin=(0.3 * length, 0.0)),
+        material=am.Axisymmetric(young=2e11, poisson=0.3), law=am.Frictionless(),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, -1e-4 * length * force), normal=(0.0, 1.0))),
+        loads=(am.Pressure("top", 1e6 * force), am.Pressure("right", 2e6 * force))),
+        [0.3 * length, 0.16 * length, 0.08 * length], 3.0)
+
+
+def hovering_blocks(length, force):
+    """A block that expands above another one, held sideways alone."""
+    upper = am.Rectangle(width=length, height=0.3 * length)
+    lower = am.Rectangle(width=1.4 * length, height=0.5 * length, origin=(-0.2 * length, -0.5 * length))
+    return am.Hierarchy.graded(am.ContactProblem(
+        name="blocks", domain=am.Assembly(parts={"a": upper, "b": lower}), law=am.Frictionless(),
+        material={name: am.PlaneStrain(young=2e11, poisson=0.3) for name in "ab"},
+        contact=am.ContactPair("a.bottom", "b.top", gap=1e-5 * length * force),
+        loads=(am.InitialStrain("a", (3e-5 * force, 3e-5 * force)), am.Pressure("a.top", 2e5 * force)),
+        supports=(am.Support("b.bottom", x=0.0, y=0.0), am.PointSupport((0.5 * length, 0.3 * length), x=0.0))),
+        (0.25 * length, 0.14 * length, 0.08 * length))
+
+
+@pytest.mark.parametrize("body", [scaled_ring, hovering_blocks])
+def test_bodies_that_contact_alone_holds(body):
+    hierarchy = body(*10 ** np.random.default_rng().uniform(-1, 1, 2))
+    discrete = hierarchy.finest.discrete
+    exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12)).displacement
+    for solver in (am.SingleGrid(rtol=0.05, omega=1.8), am.SingleGrid(rtol=5e-3, omega=1.8),
+                   am.Multigrid(correction=am.Monotone(), rtol=1e-2)):
+        u = am.solve(hierarchy, solver).displacement
+        assert energy(discrete, u - exact) <= 1.5 * solver.rtol * energy(discrete, exact)
+
+
+def test_a_loaded_motion_that_the_status_leaves_free_is_an_infinite_error():
+    hierarchy = scaled_ring(*10 ** np.random.default_rng().uniform(-1, 1, 2))
+    discrete = hierarchy.finest.discrete
+    exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12)).displacement
+    hovers = am.solve(hierarchy, am.SingleGrid(rtol=1e-9, omega=1.7, max_sweeps=100), throw=False)
+    assert (hovers.contact.state == am.OPEN).all()
+    assert hovers.certificate(discrete, bound=True).energy_error == np.inf
+    # where the status may change the error is finite
+    true = energy(discrete, hovers.displacement - exact) / energy(discrete, hovers.displacement)
+    assert 0.67 * true <= hovers.checked.energy_error <= 1.5 * true
+
+
+def test_a_status_that_hides_the_error_may_change():
+    """Newton steps on a slender body: with the status held a tenth of the error is seen."""
+    hierarchy = load("slender_bodies").random_slender(6)[1]
+    discrete = hierarchy.finest.discrete
+    exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-9, max_steps=200)).displacement
+    result = am.solve(hierarchy, am.ActiveSet(rtol=1e-9, max_steps=5, start="held"), throw=False)
+    true = energy(discrete, result.displacement - exact) / energy(discrete, result.displacement)
+    assert result.certificate(discrete, bound=True).energy_error < 0.2 * true
+    assert 0.67 * true <= result.checked.energy_error <= 1.5 * true
+
+
 def test_one_step_sees_what_is_smooth():
     """Hats that keep the contact status; constants over boxes that leave contact out see a third of it here."""
     hierarchy = grids(divisions=(4, 8, 16, 32, 64))
