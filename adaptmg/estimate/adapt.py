@@ -21,7 +21,7 @@ from adaptmg._text import say
 from adaptmg.estimate.bisect import Bisect
 from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
 from adaptmg.estimate.loop import AdaptiveLoop, Parts, Progress
-from adaptmg.estimate.loop_store import loop_fingerprint, loop_store
+from adaptmg.estimate.loop_store import LOOP_KINDS, loop_fingerprint
 from adaptmg.estimate.remesh import Remesh
 from adaptmg.estimate.residual import Residual
 from adaptmg.estimate.step import Engine, Limits, Step, sound_mesh
@@ -30,6 +30,7 @@ from adaptmg.level import need_domain
 from adaptmg.mesh.grading import measures
 from adaptmg.mesh.netgen_guard import MAX_NODES
 from adaptmg.problem import ContactProblem, LoadPath
+from adaptmg.solver.store import StepStore
 
 if TYPE_CHECKING:
     from adaptmg.mesh.arrays import MeshArrays
@@ -123,7 +124,8 @@ def adapt(problem: ContactProblem,
     if store is not None:
         options = {"indicator": parts.indicator, "mark": parts.mark, "engine": parts.engine, "solver": parts.solver,
                    "transfer": first.transfer, "contact_rows": first.contact_rows, "adapt_on": parts.adapt_on}
-        steps = loop_store(store, loop_fingerprint(first, options, load_path, depends))
+        head = {"fingerprint": loop_fingerprint(first, options, load_path, depends)}
+        steps = StepStore.resumed(store, "loop.json", head, LOOP_KINDS)
     report = _written if progress is True else progress or None
     return AdaptiveLoop(first, parts, limits, steps, report).steps()
 

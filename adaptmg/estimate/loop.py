@@ -228,12 +228,12 @@ class AdaptiveLoop:
                     sum(timings.values()) + (0.0 if last is None else last.total_seconds), work, work + before, path,
                     settled(estimate, None if last is None else last.estimate))
         with self.clock.phase("store"):
-            keys, extra = self.meshes.note(number, hierarchy)
             if self.store is not None:
                 numbers = {"total_seconds": step.total_seconds, "work_units": step.work_units,
                            "total_work_units": step.total_work_units}
-                self.store.put(number, result, StoredStep(estimate, keys, extra, result.mesh.refinement, numbers,
-                                                          timings, path))
+                self.store.put(number, result, StoredStep(
+                    estimate, [level.mesh for level in hierarchy.levels], result.mesh.refinement, numbers, timings,
+                    path))
         self._remember(step)
         return step
 
@@ -247,8 +247,8 @@ class AdaptiveLoop:
 
     def _restored(self, number: int, step: Stored) -> Step:
         stored: StoredStep = step.more
-        mesh = with_refinement(step.value.mesh, stored.history)
-        hierarchy = self.meshes.take(number, mesh, stored.extra, stored.levels)
+        own = with_refinement(step.value.mesh, stored.history)
+        hierarchy = self.meshes.take([*stored.levels[:-1], own])
         # one mesh for both, with its source
         result = replace(step.value, mesh=hierarchy.finest.mesh)
         before = self.done[-1].estimate if self.done else None

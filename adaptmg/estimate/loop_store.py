@@ -6,24 +6,21 @@ Limits (tolerance, nodes, seconds) are not part of the fingerprint: a loop may g
 
 from __future__ import annotations
 
-import os
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-
-import numpy as np
 
 from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level, joined, level_of, the_transfer
+from adaptmg.mesh import with_source
 from adaptmg.mesh.arrays import MeshArrays, Refinement
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.load_path import PathResult
 from adaptmg.solver.result import KINDS
-from adaptmg.solver.store import StepStore, fingerprint
-
-Key = tuple[int, int]
+from adaptmg.solver.store import fingerprint
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +28,7 @@ class StoredStep:
     """What a store has of a step next to its result."""
 
     estimate: Estimate
-    levels: list[Key]  # for each level the step and place of its mesh
-    extra: list[MeshArrays]  # meshes that came with this step next to its own
+    levels: list[MeshArrays]  # the meshes of all levels
     history: Refinement | None  # the bisections that made its own mesh
     numbers: dict[str, float]  # total_seconds, work_units, total_work_units
     timings: dict[str, float]
@@ -41,11 +37,6 @@ class StoredStep:
 
 #: what the file of a step holds; user-defined estimates come back as Estimate
 LOOP_KINDS = (*KINDS, StoredStep, GoalEstimate, Estimate, PathResult, Refinement)
-
-
-def loop_store(folder: str | os.PathLike[str], mark: Mapping[str, object]) -> StepStore:
-    """The store of a loop with a fingerprint."""
-    return StepStore.resumed(folder, "loop.json", {"fingerprint": dict(mark)}, LOOP_KINDS)
 
 
 def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path: LoadPath | None = None,
@@ -61,49 +52,31 @@ def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path:
 
 
 class Meshes:
-    """The meshes of a loop by step and place, each discretised once and each neighbour located once."""
+    """The meshes of stored steps, each discretised once and each neighbour located once."""
 
     def __init__(self, start: Hierarchy) -> None:
         self.start = start
-        self._meshes: dict[Key, MeshArrays] = {}
-        self._alone: dict[Key, Level] = {}
-        self._joined: dict[tuple[Key, Key], Level] = {}
+        # meshes of the start know more than their arrays
+        self._known = {_key(level.mesh): level.mesh for level in start.levels}
+        self._alone: dict[bytes, Level] = {}
+        self._joined: dict[tuple[bytes, bytes], Level] = {}
 
-    def note(self, number: int, hierarchy: Hierarchy) -> tuple[list[Key], list[MeshArrays]]:
-        """The keys of the levels of a step, and the meshes that came with it next to its own."""
-        keys_of = {id(mesh): key for key, mesh in self._meshes.items()}
-        keys, extra = [], []
-        for level in hierarchy.levels:
-            if level is hierarchy.finest:
-                key = (number, -1)
-            elif id(level.mesh) in keys_of:
-                key = keys_of[id(level.mesh)]
-            else:
-                key = (number, len(extra))
-                extra.append(level.mesh)
-            self._meshes[key] = level.mesh
-            keys.append(key)
-        return keys, extra
-
-    def take(self, number: int, own: MeshArrays, extra: Sequence[MeshArrays], keys: Sequence[Key]) -> Hierarchy:
-        """The hierarchy of a stored step; its own mesh and those that came with it are new."""
-        from adaptmg.mesh import with_source
-
-        for place, mesh in ((-1, own), *enumerate(extra)):
-            # meshes of the start know more than their arrays
-            own_to = [level.mesh for level in self.start.levels if np.array_equal(level.mesh.points, mesh.points)
-                      and np.array_equal(level.mesh.elements, mesh.elements)]
-            self._meshes[number, place] = own_to[0] if own_to else with_source(mesh)
+    def take(self, meshes: Sequence[MeshArrays]) -> Hierarchy:
+        """The hierarchy of a stored step."""
         levels: list[Level] = []
-        for k, key in enumerate(keys):
+        below = b""
+        for mesh in meshes:
+            key = _key(mesh)
             if key not in self._alone:
-                self._alone[key] = level_of(self.start.problem, self._meshes[key])
-            levels.append(self._alone[key] if k == 0 else self._pair(keys[k - 1], key, levels[-1]))
+                self._alone[key] = level_of(self.start.problem, self._known.get(key) or with_source(mesh))
+            if levels and (below, key) not in self._joined:
+                self._joined[below, key] = joined(levels[-1], self._alone[key], the_transfer(self.start.transfer),
+                                                  self.start.contact_rows)
+            levels.append(self._joined[below, key] if levels else self._alone[key])
+            below = key
         return Hierarchy(tuple(levels), self.start.problem, self.start.origin, {}, self.start.limits,
                          self.start.transfer, self.start.contact_rows)
 
-    def _pair(self, below: Key, key: Key, coarse: Level) -> Level:
-        if (below, key) not in self._joined:
-            transfer = the_transfer(self.start.transfer)
-            self._joined[below, key] = joined(coarse, self._alone[key], transfer, self.start.contact_rows)
-        return self._joined[below, key]
+
+def _key(mesh: MeshArrays) -> bytes:
+    return hashlib.sha256(mesh.points.tobytes() + mesh.elements.tobytes()).digest()

@@ -165,7 +165,7 @@ def rewritten(file: Path, **changes: object) -> None:
 
 @pytest.mark.parametrize("change, message", [
     (lambda file: file.write_bytes(file.read_bytes()[:-10]), "is damaged"),
-    (lambda file: rewritten(file, levels=[[1, -1], [0, -1]]), "is not what was written"),
+    (lambda file: rewritten(file, levels=[]), "is not what was written"),
     (lambda file: shutil.copy(file.with_name("step_0000.npz"), file), "another computation|holds step 0"),
     (lambda file: am.Result.load(file).save(file), "another computation")])
 def test_a_damaged_or_foreign_step_is_named_and_can_be_made_again(copied, whole, change, message):
