@@ -2,8 +2,9 @@ r"""triangulated: plane domains meshed by a size field, without Netgen.
 
 Nodes are laid along the edges, the same part of :math:`\int ds / h` apart; h is lowered around short edges. Put one by
 one into the two triangles of a box around the domain, with swaps of edges (C. L. Lawson, 1977), they give a Delaunay
-triangulation. Where it lacks an edge of the boundary, that edge is cut in the middle, and all is done again; triangles
-outside are dropped. Inside, nodes follow as long as a triangle's circumcircle is too large for the field: at its
+triangulation. Where it lacks an edge of the boundary, the triangles that this edge crosses are replaced (M. V. Anglada,
+1997). Chords of arcs that cross other edges are halved, and all is done again;
+triangles outside are dropped. Inside, nodes follow as long as a triangle's circumcircle is too large for the field: at its
 centre, or nearer to the triangle's shortest side, where they make an equilateral triangle with it, so that good
 triangles grow from the boundary. Swaps and moves end it.
 
@@ -20,7 +21,7 @@ from collections.abc import Callable
 import numpy as np
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.geometry.predicates import turn
+from adaptmg.geometry.predicates import in_circle, turn
 from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.improve import improved_triangles, opposite, replace_neighbour, swap_edge
 from adaptmg.mesh.netgen_plane import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
@@ -28,7 +29,7 @@ from adaptmg.problem.plane_domains import Arc, Domain, Outline, Polygon, Rectang
 
 Plane = Rectangle | Polygon | Outline
 
-# intervals of an edge at first; how often edges that are missing are cut
+# intervals of an edge at first; how often edges that cross are halved
 _INTERVALS, _CUTS = 8, 20
 # longest edge on an arc, of its radius
 _MAX_EDGE = 0.4
@@ -145,6 +146,12 @@ def _of_boundary(places: np.ndarray, following: np.ndarray) -> tuple[np.ndarray,
         count, e = _put(points, elements, across, begin, min(n, begin + _BATCH), count, e)
         if e < 0:
             raise Untriangulated(f"nodes at {places[begin:begin + 1]}")
+    at, missing = np.empty(n + 4, dtype=np.int64), np.zeros(n, dtype=bool)
+    at[elements[:count]] = np.arange(count)[:, None]
+    for begin in range(0, n, _BATCH):
+        _force(points, elements, across, count, following, begin, min(n, begin + _BATCH), at, missing)
+    if missing.any():
+        return elements, across, ~missing
     count = _cut_out(elements, across, count, following, found)
     return elements[:count], across[:count], found
 
@@ -275,6 +282,122 @@ def _put(points, elements, across, begin, end, count, e):
         if count == before:
             return count, np.int64(-1)
     return count, e
+
+
+@inner_kernel
+def _is_edge(following, a, b):
+    """Whether nodes follow each other on the boundary."""
+    return (a < len(following) and following[a] == b) or (b < len(following) and following[b] == a)
+
+
+@inner_kernel
+def _crossed(points, elements, across, following, e, a, b, chains, outer, cells):
+    """Look from node a, a corner of triangle e, to node b. Fill ``cells``, the triangles between them; ``chains``, the
+    nodes to the right and to the left from a to b; and ``outer``: start, end, and triangle beyond, of the sides of all
+    these triangles. Returns the numbers of triangles, of nodes to the right and to the left; no triangles where the
+    edge is there, -1 and the first node of what is in the way where that is an edge of the boundary, or a node."""
+    first = e
+    while True:  # once around a
+        k = 0 if elements[e, 0] == a else 1 if elements[e, 1] == a else 2
+        u, v = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+        if u == b or v == b:
+            return 0, 0, 0
+        right, left = turn(points, a, u, b), turn(points, a, v, b)
+        ahead = ((points[u, 0] - points[a, 0]) * (points[b, 0] - points[a, 0])
+                 + (points[u, 1] - points[a, 1]) * (points[b, 1] - points[a, 1]))
+        if right == 0.0 and ahead > 0.0:
+            return -1, np.int64(u), 0
+        if right > 0.0 and left < 0.0:
+            break
+        e = np.int64(across[e, (k + 1) % 3])
+        if e == first:
+            return -1, np.int64(a), 0
+    chains[0, 0], chains[0, 1], chains[1, 0], chains[1, 1], n, n_right, n_left = a, u, a, v, 0, 2, 2
+    # on the way no triangle comes twice
+    while True:
+        for j in range(3):
+            outer[3 * n + j, 0], outer[3 * n + j, 1] = elements[e, (j + 1) % 3], elements[e, (j + 2) % 3]
+            outer[3 * n + j, 2] = across[e, j]
+        cells[n] = e
+        n += 1
+        if elements[e, 0] == b or elements[e, 1] == b or elements[e, 2] == b:
+            chains[0, n_right], chains[1, n_left] = b, b
+            return n, n_right + 1, n_left + 1
+        if _is_edge(following, u, v):
+            return -1, np.int64(u if following[u] == v else v), 0
+        e = np.int64(across[e, opposite(elements, e, u, v)])
+        w = elements[e, opposite(elements, e, u, v)]
+        side = turn(points, a, b, w)
+        if w != b and side == 0.0:
+            return -1, np.int64(w), 0
+        if w != b and side > 0.0:
+            v, chains[1, n_left], n_left = w, w, n_left + 1
+        elif w != b:
+            u, chains[0, n_right], n_right = w, w, n_right + 1
+
+
+@inner_kernel
+def _retriangulate(points, elements, chain, m, cells, n, ranges):
+    """Write Delaunay triangles (M. V. Anglada, 1997) between the m nodes of a chain, counter-clockwise, from number n
+    of ``cells`` on; returns the number after the last."""
+    ranges[0, 0], ranges[0, 1], depth = 0, m - 1, 1
+    while depth > 0:  # a range of k nodes leaves two which have k + 1
+        depth -= 1
+        low, high = ranges[depth, 0], ranges[depth, 1]
+        best = np.int64(-1)
+        for k in range(low + 1, high):
+            if turn(points, chain[low], chain[k], chain[high]) > 0.0 and (
+                    best < 0 or in_circle(points, chain[low], chain[best], chain[high], chain[k]) > 0.0):
+                best = k
+        if best < 0:
+            continue
+        e = cells[n]
+        elements[e, 0], elements[e, 1], elements[e, 2] = chain[low], chain[best], chain[high]
+        n += 1
+        for begin, end in ((low, best), (best, high)):
+            if end - begin > 1:
+                ranges[depth, 0], ranges[depth, 1] = begin, end
+                depth += 1
+    return n
+
+
+@kernel
+def _force(points, elements, across, count, following, begin, end, at, missing):
+    """Make edges from nodes to the following ones; ``at``: a triangle of each. ``missing`` becomes True for those that
+    cross others, and for these."""
+    chains, outer = np.empty((2, count + 2), dtype=np.int64), np.empty((3 * count, 3), dtype=np.int64)
+    cells, ranges = np.empty(count, dtype=np.int64), np.empty((count, 2), dtype=np.int64)
+    for a in range(begin, end):
+        b = following[a]
+        n, n_right, n_left = _crossed(points, elements, across, following, at[a], np.int64(a), b, chains, outer, cells)
+        if n < 0:
+            missing[a] = missing[min(n_right, len(missing) - 1)] = True
+        if n <= 0:
+            continue
+        # the left chain from b to a
+        for i in range(n_left // 2):
+            chains[1, i], chains[1, n_left - 1 - i] = chains[1, n_left - 1 - i], chains[1, i]
+        half = _retriangulate(points, elements, chains[0], n_right, cells, 0, ranges)
+        if _retriangulate(points, elements, chains[1], n_left, cells, half, ranges) < n:
+            missing[:] = True
+            return
+        for i in range(n):
+            e = cells[i]
+            for k in range(3):
+                p, q = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+                at[p] = e
+                across[e, k] = -1
+                for j in range(3 * n):
+                    f, m = cells[j // 3], j % 3
+                    if elements[f, (m + 1) % 3] == q and elements[f, (m + 2) % 3] == p:
+                        across[e, k] = f
+                if across[e, k] >= 0:
+                    continue
+                for j in range(3 * n):
+                    if outer[j, 0] == p and outer[j, 1] == q:
+                        f = across[e, k] = outer[j, 2]
+                        if f >= 0:
+                            across[f, opposite(elements, f, p, q)] = e
 
 
 @kernel
