@@ -168,7 +168,7 @@ def find_neighbours(first, last, elements, start, listed, indptr, indices):
                     if len(indices):
                         # few are out of order
                         k = begin + count
-                        while k > begin and indices[k - 1] > v:
+                        while k > begin and indices[k - 1] > v:  # one further down each time
                             indices[k] = indices[k - 1]
                             k -= 1
                         indices[k] = v
@@ -215,7 +215,7 @@ def solid_gradients(points, corners, g):
 def _position(indptr, indices, a, b):
     """Where the block (a, b), which is there, is stored."""
     at = indptr[a]
-    while indices[at] != b:
+    while indices[at] != b:  # the row holds b
         at += 1
     return at
 
@@ -270,7 +270,7 @@ def add_solid(first, last, points, elements, body, lame, shear, start, listed, i
                 return e
             one, mu = volume * lame[body[e]], volume * shear[body[e]]
             a = 0
-            while corners[a] != i:
+            while corners[a] != i:  # i is a corner
                 a += 1
             x, y, z = g[a, 0], g[a, 1], g[a, 2]
             for b in range(4):
@@ -295,7 +295,7 @@ def mirror(first, last, indptr, indices, data):
     """Write the lower half of rows: the transposes of the upper one."""
     for i in range(first, last):
         at = indptr[i]
-        while indices[at] < i:
+        while indices[at] < i:  # the row holds its diagonal
             block = data[_position(indptr, indices, indices[at], i)]
             for k in range(3):
                 for m in range(3):

@@ -249,7 +249,7 @@ def _relax(points, elements, start, items, growth, sizes, queue, waiting):
     method with a queue in place of a heap: a node returns to it where its size has fallen meanwhile."""
     n, dim = len(queue), points.shape[1]
     first, count = 0, n
-    while count > 0:
+    while count > 0:  # n rounds through the queue at most: shortest paths have fewer than n edges
         i = queue[first]
         first = first + 1 if first + 1 < n else 0
         count -= 1

@@ -126,7 +126,7 @@ def _inside_below(top, x, y, z, maps, boxes, dim, stack):
     n_leaves = (len(boxes) + 1) // 2
     stack[0] = top
     depth = 1
-    while depth > 0:
+    while depth > 0:  # each node of the tree comes once
         depth -= 1
         node = stack[depth]
         if not _box_contains(boxes, node, x, y, z, dim):
@@ -147,7 +147,7 @@ def _find(x, y, z, start, maps, boxes, dim, stack):
     """Climb from leaf ``start``: search it, its sibling, its parent's sibling, and so on up to the root."""
     node = start
     found, leaf = _inside_below(node, x, y, z, maps, boxes, dim, stack)
-    while found < 0 and node > 0:
+    while found < 0 and node > 0:  # a level higher each time
         sibling = node + 1 if node % 2 == 1 else node - 1
         found, leaf = _inside_below(sibling, x, y, z, maps, boxes, dim, stack)
         node = (node - 1) // 2

@@ -96,7 +96,7 @@ def overlapping(boxes, box, points, simplices, stack, candidates):
     count = 0
     stack[0] = 0
     depth = 1
-    while depth > 0:
+    while depth > 0:  # each node of the tree comes once
         depth -= 1
         node = stack[depth]
         if not _box_overlaps(boxes, node, box, dim):
@@ -143,7 +143,7 @@ def nearest_simplex(x, points, simplices, boxes, dim, weights, trial, candidate,
     best, best_distance = -1, np.inf
     stack[0] = 0
     depth = 1
-    while depth > 0:
+    while depth > 0:  # each node of the tree comes once
         depth -= 1
         node = stack[depth]
         if not _box_distance(boxes, node, x, dim) < best_distance:
@@ -213,7 +213,7 @@ def meet_turned(frames, origins, low, high, boxes, points, simplices, start, fil
     for s in range(len(frames)):
         count = 0
         stack[0], depth = 0, 1
-        while depth > 0:
+        while depth > 0:  # each node of the tree comes once
             depth -= 1
             node = stack[depth]
             if not _box_meets_turned(boxes, node, frames[s], origins[s], low[s], high[s]):

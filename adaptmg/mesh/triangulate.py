@@ -3,10 +3,10 @@ r"""triangulated: plane domains meshed by a size field, without Netgen.
 Nodes are laid along the edges, the same part of :math:`\int ds / h` apart; h is lowered around short edges. Put one by
 one into the two triangles of a box around the domain, with swaps of edges (C. L. Lawson, 1977), they give a Delaunay
 triangulation. Where it lacks an edge of the boundary, the triangles that this edge crosses are replaced (M. V. Anglada,
-1997). Chords of arcs that cross other edges are halved, and all is done again;
-triangles outside are dropped. Inside, nodes follow as long as a triangle's circumcircle is too large for the field: at its
-centre, or nearer to the triangle's shortest side, where they make an equilateral triangle with it, so that good
-triangles grow from the boundary. Swaps and moves end it.
+1997). Chords of arcs that cross other edges are halved, and all is done again; triangles outside are dropped. Inside,
+nodes follow as long as a triangle's circumcircle is too large for the field: at its centre, or nearer to the triangle's
+shortest side, where they make an equilateral triangle with it, so that good triangles grow from the boundary. Swaps and
+moves end it.
 
 Triangles and their neighbours are a closed table from the first to the last step, and no step turns a triangle over.
 With the boundary among their edges they cover the domain once: positive areas with the right sum are all there is to
@@ -16,6 +16,7 @@ check.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -45,6 +46,10 @@ _DIP = 0.6
 _COARSE = 1.4
 # an edge is short below this part of the size there; growth of sizes around it
 _SHORT, _GROWTH = 0.7, 0.5
+# area over the square of the longest edge, below which a triangle is flat: 1 degree
+_FLAT = 0.5 * math.tan(math.radians(1.0))
+# digits of coordinates that the shortest edge of the boundary must leave
+_RESOLVED = 1e-4
 # rounds of improvement
 _ROUNDS = 3
 
@@ -71,6 +76,10 @@ def triangulated(domain: Plane, field: Callable[[np.ndarray], np.ndarray], growt
         following = np.arange(1, len(places) + 1)
         following[first + counts - 1] = first[outline.following]
         refuse_too_many(len(places), domain)
+        shortest, step = np.linalg.norm(places[following] - places, axis=1).min(), np.spacing(np.abs(places).max())
+        if not step < _RESOLVED * shortest:
+            raise ValueError(f"coordinates of {domain!r} differ by {step:.1g} m at least, edges of the mesh are "
+                             f"{shortest:.1g} m long; move it nearer to the origin, or take larger sizes")
         elements, across, found = _of_boundary((places - middle) / scale, following)
         if found.all():
             break
@@ -203,6 +212,9 @@ def _mesh(domain: Plane, points: np.ndarray, elements: np.ndarray, following: np
     area = 0.5 * float(np.sum(x * v - y * u))
     if not (mesh.volumes.min() > 0 and abs(mesh.volumes.sum() - area) <= 1e-9 * area):
         raise Untriangulated(f"triangles of {domain!r} are turned over")
+    if (flat := float((mesh.volumes / mesh.element_sizes**2).min())) < _FLAT:
+        warnings.warn(f"triangles are up to {0.5 / flat:.0f} times as long as high: {domain!r} is thin or has a sharp "
+                      "corner; take smaller sizes (they are in m) there", UserWarning, stacklevel=2)
     return trusted(mesh, None)
 
 

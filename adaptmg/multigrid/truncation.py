@@ -295,7 +295,7 @@ def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank):
     else:
         low, high = np.int64(u_indptr[rank[row]]), np.int64(u_indptr[rank[row] + 1])
         shift = below + n
-    while low < high:
+    while low < high:  # the range halves
         middle = (low + high) // 2
         found = np.int64(l_indices[middle]) if in_lower else np.int64(u_indices[middle])
         if found == column:

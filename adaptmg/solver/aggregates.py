@@ -41,7 +41,7 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
         size = sizes[group[seed]]
         queue[0], label[seed], depth[seed] = seed, count, 0
         head, tail = 0, 1
-        while head < tail:
+        while head < tail:  # each node enters the queue once
             i = queue[head]
             head += 1
             if depth[i] == most_deep:

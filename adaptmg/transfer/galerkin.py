@@ -72,7 +72,7 @@ def _sort_rows(first, last, dim, indptr, indices, data, longest, new_indices, ne
         begin, end = indptr[i], indptr[i + 1]
         for s in range(begin, end):
             at = s - begin
-            while at > 0 and indices[order[at - 1]] > indices[s]:
+            while at > 0 and indices[order[at - 1]] > indices[s]:  # one further down each time
                 order[at] = order[at - 1]
                 at -= 1
             order[at] = s

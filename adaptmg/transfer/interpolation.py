@@ -180,7 +180,7 @@ def _lattice_rows(node, end, start, sides, strides, lowest, shares, place, axis,
             column += lowest[at]
             # from the largest share to the smallest: the corners of the simplex that holds the node
             to = k
-            while to > 0 and share[to - 1] < shares[at]:
+            while to > 0 and share[to - 1] < shares[at]:  # one further down each time
                 axis[to], share[to] = axis[to - 1], share[to - 1]
                 to -= 1
             axis[to], share[to] = k, shares[at]
@@ -222,7 +222,7 @@ def _fill_rows(columns, weights, clip, indptr, indices, data):
             if weights[i, m] < clip:
                 continue
             at = count
-            while at > indptr[i] and indices[at - 1] > columns[i, m]:
+            while at > indptr[i] and indices[at - 1] > columns[i, m]:  # one further down each time
                 indices[at], data[at] = indices[at - 1], data[at - 1]
                 at -= 1
             indices[at], data[at] = columns[i, m], weights[i, m]

@@ -142,6 +142,23 @@ def test_triangles_at_short_edges_are_not_flat():
     assert mesh.n_nodes < 2 * graded(SQUARE, 0.2).n_nodes
 
 
+def test_flat_triangles_are_reported_and_coordinates_too_far_away_refused():
+    for name in ("needle", "strip"):
+        with pytest.warns(UserWarning, match=r"triangles are up to \d+ times as long as high: .* is thin"):
+            graded(DOMAINS[name], 0.3)
+    far = moved(SLANTED["triangle"], 1.0, 1.0, np.array([1e14, 0]))
+    with pytest.raises(ValueError, match="move it nearer to the origin"):
+        graded(far, 0.3)
+
+
+def test_slits_do_not_ask_for_many_nodes():
+    # the sides of the slit are apart by a millionth, and have different numbers of nodes
+    slit = polygon((0, 0), (.5, 0), (.48, .5), (.480001, .52), (.500001, 0), (1, 0), (1.1, 1), (0, 1))
+    mesh = graded(moved(slit, 1.0, 1.0, np.zeros(2)), 0.1)
+    check_mesh(replace(mesh, source=None))
+    assert mesh.n_nodes < 1000
+
+
 def test_dips_and_jumps_of_a_size_function_are_met():
     places = np.array([[0.31, 0.62], [0.7, 0.3]])
 

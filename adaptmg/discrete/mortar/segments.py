@@ -238,7 +238,7 @@ def nearest_pieces(points, normals, slave, master, starts, facets, lows, highs, 
             if high - low <= SHORTEST:
                 continue
             middle = 0.5 * (low + high)
-            while following < starts[e + 1] and lows[following] < middle:
+            while following < starts[e + 1] and lows[following] < middle:  # one further each time
                 active[n_active] = following
                 following += 1
                 n_active += 1

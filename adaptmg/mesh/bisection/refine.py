@@ -77,7 +77,7 @@ def _midpoint_of(nodes, a, b):
     """The node that halves the edge (a, b), -1 if it is not cut."""
     low, high = (a, b) if a < b else (b, a)
     p = nodes[high, HEAD]
-    while p >= 0 and nodes[p, LOW] != low:
+    while p >= 0 and nodes[p, LOW] != low:  # what follows in a list was entered before
         p = nodes[p, NEXT]
     return p
 
@@ -132,7 +132,7 @@ def _cut(nodes, stamps, n_nodes, a, b, stamp):
 @inner_kernel
 def _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked, most):
     """Cut edges between the first ``most`` corners of the marked elements from e on, as long as there is room."""
-    while e < n_cells and n_nodes + most * most <= len(nodes):
+    while e < n_cells and n_nodes + most * most <= len(nodes):  # an element further each time
         if marked[e]:
             for i in range(1, most):
                 for j in range(i):
@@ -172,6 +172,7 @@ def bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge):
         if e < n_cells:
             nodes, stamps = _roomier(nodes), _longer(stamps)
     nodes_before = np.int64(-1)
+    # a round in which no edge is cut is the last: closures of these bisections are finite (Maubach, 1995)
     while n_nodes > nodes_before:
         stamp += 1
         nodes_before, n_before = n_nodes, n_cells

@@ -113,7 +113,7 @@ def facets_into_cells(facets, cells, n_cells, corners, head, following, on_bound
                 continue
             total, high, low = _key(cells, e, k, corners)
             f = head[high]
-            while f >= 0:
+            while f >= 0:  # what follows in a list was entered before
                 if _key(facets, f, -1, corners - 1) == (total, high, low):
                     cells[e, corners + k] = f
                     found += 1
