@@ -107,12 +107,14 @@ def _exact(points, a, b, c, d):
     for k in range(2):
         sign = 1.0 - 2.0 * k
         if d < 0:
-            factors[0], factors[1] = sides[0, 0, k], sides[0, 1, 1 - k]
+            for t in range(2):  # whole rows would compile the text of numpy's error: a second more
+                factors[0, t], factors[1, t] = sides[0, 0, k, t], sides[0, 1, 1 - k, t]
             n = _add_product(terms, n, factors[:2], sign, work)
             continue
         for m in range(2):
             for i in range(2):
-                factors[0], factors[1] = sides[i, 0, k], sides[i, 1, 1 - k]
-                factors[2], factors[3] = sides[1 - i, 0, m], sides[1 - i, 1, m]
+                for t in range(2):
+                    factors[0, t], factors[1, t] = sides[i, 0, k, t], sides[i, 1, 1 - k, t]
+                    factors[2, t], factors[3, t] = sides[1 - i, 0, m, t], sides[1 - i, 1, m, t]
                 n = _add_product(terms, n, factors, sign * (2.0 * i - 1.0), work)
     return terms[n - 1] if n > 0 else 0.0

@@ -276,7 +276,7 @@ def _insert(points, elements, across, n, e, p, settled):
     first = e
     while True:
         settled[e] = False
-        if across[e, 0] < 0 or not swap_edge(points, elements, across, e, 0):
+        if across[e, 0] < 0 or not swap_edge(points, elements, across, e, np.int64(0)):
             e = np.int64(across[e, 1])
             if e == first:
                 return m + 1

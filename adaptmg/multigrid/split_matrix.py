@@ -324,7 +324,7 @@ def distribute(first, last, order, zero, indptr, indices, data, rank, free, held
             block[c] = diagonal[at + c]
         for a in range(dim):
             scale[a] = abs(block[a * dim + a])
-        invert_block(dim, block, scale, inverse, at)
+        invert_block(np.int64(dim), block, scale, inverse, at)  # the length of a tuple would be compiled apart
 
 
 @inner_kernel
