@@ -123,7 +123,8 @@ def measure(seed: int) -> dict[str, object]:
     rng = np.random.default_rng(seed)
     outline, features = random_outline(rng)
     extent = float((outline.upper - outline.lower).max())
-    row = {"features": features, "faults": "", "netgen": 0, "warnings": 0, "slowest": 0.0, "angle": 180.0, "nodes": 0}
+    row = {"features": features, "faults": "", "refused": 0, "netgen": 0, "warnings": 0, "slowest": 0.0,
+           "angle": 180.0, "nodes": 0}
     own = logging.getLogger("adaptmg.mesh.grading")
     heard: list[logging.LogRecord] = []
     handler = logging.Handler()
@@ -139,7 +140,11 @@ def measure(seed: int) -> dict[str, object]:
             try:
                 mesh = am.mesh.graded(outline, size, [name] if ratio > 1 else [], ratio)
             except ValueError as error:
-                row["faults"] = f"size {size:.6g}, ratio {ratio:g}: {error}"
+                # edges below the resolution of the coordinates are refused, rightly
+                if "move it nearer to the origin" in str(error):
+                    row["refused"] += 1
+                else:
+                    row["faults"] = f"size {size:.6g}, ratio {ratio:g}: {error}"
                 continue
             finally:
                 faulthandler.cancel_dump_traceback_later()
@@ -159,6 +164,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     """One row a kind of outline."""
     table = table.assign(faulty=table["faults"] != "")
     return table.groupby("features").agg(outlines=("seed", "size"), faulty=("faulty", "sum"), netgen=("netgen", "sum"),
+                                         refused=("refused", "sum"),
                                          warned=("warnings", "sum"), slowest=("slowest", "max"),
                                          angle=("angle", "min"), nodes=("nodes", "max")).reset_index()
 
