@@ -7,7 +7,8 @@ The coarsest ones are solved by LU factors. A user-defined :class:`LinearSolve` 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -25,124 +26,121 @@ from adaptmg.smoother.blocks import ZERO
 
 
 @dataclass(eq=False)
-class LevelVectors:
-    """The vectors of a level (n_dofs,)."""
+class LinearLevel:
+    """One level with its operators: matrix, prolongation, smoother and vectors."""
 
-    load: np.ndarray
-    solution: np.ndarray
-    kept: np.ndarray
+    matrix: SplitMatrix
+    below: LinearLevel | None  # the next coarser one
+    prolongation: sparse.csr_array | None  # from there, nodal or by dofs
+    sweeps: int  # symmetric ones before and after the coarse correction
+    smoother: _LevelSmoother | None = None  # in place of the sweeps
+
+    @cached_property
+    def load(self) -> np.ndarray:
+        return np.zeros(self.matrix.n_dofs)
+
+    @cached_property
+    def solution(self) -> np.ndarray:
+        return np.zeros(self.matrix.n_dofs)
+
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """The residual that :meth:`presmooth` leaves."""
+        return np.zeros(self.matrix.n_dofs)
+
+    @property
+    def _transfer(self) -> tuple[tuple[float, ...], np.ndarray, np.ndarray, np.ndarray]:
+        """The zeros of the components of the prolongation, and its arrays."""
+        nodal = self.prolongation
+        return ZERO[self.matrix.n_dofs // nodal.shape[0]], nodal.indptr, nodal.indices, nodal.data
+
+    @cached_property
+    def _scattering(self) -> list[list[tuple[int, int]]]:
+        return scattering(self.prolongation.indices, self.prolongation.indptr, 2 * self.matrix.n_dofs)
+
+    def restrict(self, residual: np.ndarray, coarse: np.ndarray) -> float:
+        """Restrict a residual to the level below, into ``coarse``; returns its sum of squares."""
+        coarse[:] = 0.0
+        squares = in_colours(self._scattering, restrict, *self._transfer, residual, coarse)
+        zero_at(coarse, self.below.matrix.fixed)
+        return sum(squares)
+
+    def prolong(self, coarse: np.ndarray, to: np.ndarray) -> None:
+        """Add a prolonged vector of the level below to one of this level."""
+        in_parts(add_prolonged, self.prolongation.shape[0], 2 * len(to), *self._transfer, coarse, to)
+
+    def presmooth(self, load: np.ndarray) -> float:
+        """Smooth from zero and leave the residual; returns the passes over the matrix."""
+        matrix, u, rest = self.matrix, self.solution, self.rest
+        if self.smoother is not None:
+            u[:] = 0.0
+            passes = self.smoother.smooth(load, u)
+            rest[:] = load - self.smoother.matrix @ u
+            return passes + 1
+        matrix.sweep(half_sweeps.forward_from_zero, *matrix.lower_arrays, matrix.inverse, load, u, rest)
+        if self.sweeps == 1:
+            matrix.sweep(half_sweeps.forward_residual, *matrix.upper_arrays, u, rest)
+            return 1.0  # L, U
+        matrix.sweep(half_sweeps.backward_change, *matrix.upper_arrays, matrix.inverse, u, rest, backward=True)
+        matrix.sweep(half_sweeps.residual, *matrix.lower_arrays, rest, backward=True)
+        return 1.5  # L, U, L
+
+    def postsmooth(self, load: np.ndarray, sweeps: int) -> float:
+        matrix, u = self.matrix, self.solution
+        if self.smoother is not None:
+            return self.smoother.smooth(load, u)
+        if sweeps == 1:
+            matrix.sweep(half_sweeps.backward_full, *matrix.lower_arrays, *matrix.upper_arrays, matrix.inverse, load, u,
+                         backward=True)
+            return 1.0  # L, U
+        matrix.sweep(half_sweeps.forward_full, *matrix.lower_arrays, *matrix.upper_arrays, matrix.inverse, load, u,
+                     self.rest)
+        matrix.sweep(half_sweeps.backward_kept, *matrix.upper_arrays, matrix.inverse, u, self.rest, backward=True)
+        return 1.5  # L, U, U
 
 
-@dataclass(eq=False)
 class LinearCycle:
-    """V-cycles for the linear problem on any of the levels."""
+    """V-cycles for the linear problem on any of the levels, coarsest first; ``recorder`` counts passes and notes the
+    path."""
 
-    levels: list[SplitMatrix]  # coarsest first
-    prolongations: list[sparse.csr_array]
-    recorder: Recorder  # counts passes and notes the path
-    sweeps: Sequence[int]
-    coarse_solve: LinearSolve | None = None  # in place of LU factors on the coarsest level
-    coarse_smoother: LinearSmoother | None = None  # in place of the symmetric sweeps
-    factors: CoarseFactors = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.factors = CoarseFactors(self.levels[0], self.coarse_solve)
-        self._vectors: dict[int, LevelVectors] = {}
-        self._custom: dict[int, _LevelSmoother] = {}
-        self._scattering: dict[int, list[list[tuple[int, int]]]] = {}
+    def __init__(self, matrices: list[SplitMatrix], prolongations: list[sparse.csr_array], recorder: Recorder,
+                 sweeps: Sequence[int], coarse_solve: LinearSolve | None = None,
+                 coarse_smoother: LinearSmoother | None = None) -> None:
+        self.levels: list[LinearLevel] = []
+        for parts in zip(matrices, [None, *prolongations], sweeps, strict=True):
+            self.levels.append(LinearLevel(parts[0], self.levels[-1] if self.levels else None, *parts[1:]))
+        self.recorder, self.coarse_smoother = recorder, coarse_smoother
+        self.factors = CoarseFactors(matrices[0], coarse_solve)
 
     def renew(self, number: int) -> None:
         """Take over the matrices below level ``number``, which have changed."""
         self.factors.renew()
-        if self.coarse_smoother is not None:
-            self._custom = {k: _LevelSmoother(self.coarse_smoother, self.levels[k]) for k in range(1, number)}
-
-    def vectors(self, number: int) -> LevelVectors:
-        if number not in self._vectors:
-            self._vectors[number] = LevelVectors(*(np.zeros(self.levels[number].n_dofs) for _ in range(3)))
-        return self._vectors[number]
+        for level in self.levels[1:number] if self.coarse_smoother is not None else ():
+            level.smoother = _LevelSmoother(self.coarse_smoother, level.matrix)
 
     def solve(self, number: int, load: np.ndarray, smooth: bool = True) -> np.ndarray:
         """One cycle from zero for a load (n_dofs,) of a level; returns its solution. ``smooth`` False restricts the
         load unchanged, as a load that comes from a smoothed residual may be; one symmetric sweep then comes after."""
-        v = self.vectors(number)
+        level, recorder = self.levels[number], self.recorder
         if number == 0:
-            passes = self.factors.solve(load, v.solution)
-            if passes:
-                self.recorder.count(passes, self.levels[0].nonzeros)
-            self.recorder.visit(0, "solve")
-            return v.solution
-        level = self.levels[number]
-        sweeps, passes, rest = self.sweeps[number] if smooth else 2, 0.0, load
+            recorder.count(self.factors.solve(load, level.solution), level.matrix.nonzeros)
+            recorder.visit(0, "solve")
+            return level.solution
+        passes, rest, sweeps = 0.0, load, 2
         if smooth:
-            passes, rest = self._before(number, load, v), v.kept
-            self.recorder.visit(number, "smooth", sweeps)
+            passes, rest, sweeps = level.presmooth(load), level.rest, level.sweeps
+            recorder.visit(number, "smooth", sweeps)
         else:
-            v.solution[:] = 0.0
-        below = self.vectors(number - 1).load
-        self.restrict(number, rest, below)
-        self.add_prolonged(number, self.solve(number - 1, below), v.solution)
-        zero_at(v.solution, level.fixed)
-        self.recorder.visit(number, "prolong")
-        passes += self._after(number, load, v, sweeps)
-        self.recorder.visit(number, "smooth", sweeps)
-        self.recorder.count(passes, level.nonzeros)
-        return v.solution
-
-    def transfer(self, number: int) -> tuple[tuple[float, ...], np.ndarray, np.ndarray, np.ndarray]:
-        """What the kernels of transfer between a level and the next coarser one take first: the zeros of the components
-        of the prolongation, and its arrays."""
-        nodal = self.prolongations[number - 1]
-        return ZERO[self.levels[number].n_dofs // nodal.shape[0]], nodal.indptr, nodal.indices, nodal.data
-
-    def add_prolonged(self, number: int, coarse: np.ndarray, fine: np.ndarray) -> None:
-        """Add what the prolongation to a level makes of a vector on the next coarser one."""
-        transfer = self.transfer(number)
-        in_parts(add_prolonged, len(transfer[1]) - 1, 2 * len(fine), *transfer, coarse, fine)
-
-    def restrict(self, number: int, residual: np.ndarray, coarse: np.ndarray) -> float:
-        """Restrict the residual of a level to the next coarser one; returns its sum of squares."""
-        zero, indptr, indices, weights = self.transfer(number)
-        if number not in self._scattering:
-            self._scattering[number] = scattering(indices, indptr, 2 * len(residual))
-        coarse[:] = 0.0
-        squares = in_colours(self._scattering[number], restrict, zero, indptr, indices, weights, residual, coarse)
-        zero_at(coarse, self.levels[number - 1].fixed)
-        self.recorder.visit(number, "restrict")
-        return sum(squares)
-
-    def _before(self, number: int, load: np.ndarray, v: LevelVectors) -> float:
-        """Smooth from zero; the residual is left in ``kept``. Returns the passes, those of the residual included."""
-        level, sweeps = self.levels[number], self.sweeps[number]
-        if self._custom:
-            v.solution[:] = 0.0
-            passes = self._custom[number].smooth(load, v.solution)
-            v.kept[:] = load - self._custom[number].matrix @ v.solution
-            return passes + 1
-        level.sweep(half_sweeps.forward_from_zero, *level.lower_arrays, level.inverse, load, v.solution, v.kept)
-        if sweeps == 1:
-            level.sweep(half_sweeps.forward_residual, *level.upper_arrays, v.solution, v.kept)
-        else:
-            level.sweep(half_sweeps.backward_change, *level.upper_arrays, level.inverse, v.solution, v.kept,
-                        backward=True)
-            level.sweep(half_sweeps.residual, *level.lower_arrays, v.kept, backward=True)
-        # forward and residual: L, U; forward, backward, residual: L, U, L
-        return 1 if sweeps == 1 else 1.5
-
-    def _after(self, number: int, load: np.ndarray, v: LevelVectors, sweeps: int) -> float:
-        level = self.levels[number]
-        if self._custom:
-            return self._custom[number].smooth(load, v.solution)
-        if sweeps == 1:
-            level.sweep(half_sweeps.backward_full, *level.lower_arrays, *level.upper_arrays, level.inverse, load,
-                        v.solution, backward=True)
-        else:
-            level.sweep(half_sweeps.forward_full, *level.lower_arrays, *level.upper_arrays, level.inverse, load,
-                        v.solution, v.kept)
-            level.sweep(half_sweeps.backward_kept, *level.upper_arrays, level.inverse, v.solution, v.kept,
-                        backward=True)
-        # backward: L, U; forward, backward: L, U, U
-        return 1 if sweeps == 1 else 1.5
+            level.solution[:] = 0.0
+        level.restrict(rest, level.below.load)
+        recorder.visit(number, "restrict")
+        level.prolong(self.solve(number - 1, level.below.load), level.solution)
+        zero_at(level.solution, level.matrix.fixed)
+        recorder.visit(number, "prolong")
+        passes += level.postsmooth(load, sweeps)
+        recorder.visit(number, "smooth", sweeps)
+        recorder.count(passes, level.matrix.nonzeros)
+        return level.solution
 
 
 class CoarseFactors:

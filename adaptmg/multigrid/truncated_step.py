@@ -51,8 +51,10 @@ class TruncatedStep:
                  unknowns: np.ndarray, depth: int, motions: RigidMotions | None = None,
                  interface: Interface | None = None, interface_sweeps: int = 0) -> None:
         self.cycle, self.number, self.contact, self.load = cycle, number, contact, load
-        self.level, self.below = cycle.levels[number], cycle.levels[number - 1]
-        self.truncation = Truncation(cycle.levels[:number + 1], cycle.prolongations[:number], contact)
+        self.level, levels = cycle.levels[number], cycle.levels[:number + 1]
+        self.matrix, self.coarse = self.level.matrix, self.level.below.matrix
+        self.truncation = Truncation([level.matrix for level in levels],
+                                     [level.prolongation for level in levels[1:]], contact)
         self.motions, self.depth = motions, depth
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
         self._frozen = False
@@ -81,8 +83,9 @@ class TruncatedStep:
         same."""
         status = self.contact.update_status(self.residual)
         at_contact = self.contact.truncate(self.residual)
-        self._restricted = np.empty(self.below.n_dofs)
-        elsewhere = max(self.cycle.restrict(self.number, self.residual, self._restricted) - at_contact, 0.0)
+        self._restricted = np.empty(self.coarse.n_dofs)
+        elsewhere = max(self.level.restrict(self.residual, self._restricted) - at_contact, 0.0)
+        self.cycle.recorder.visit(self.number, "restrict")
         residual = float(np.sqrt(elsewhere + status.natural))
         frozen = safe or residual > trusted
         if status.changed or frozen != self._frozen:
@@ -100,8 +103,8 @@ class TruncatedStep:
         # past iterates make up for what a cheaper cycle leaves
         correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
         energy, proposed, before = _product(load, correction), combined.copy(), self.contact.values.copy()
-        self.cycle.add_prolonged(self.number, correction, proposed)
-        zero_at(proposed, self.level.fixed)
+        self.level.prolong(correction, proposed)
+        zero_at(proposed, self.matrix.fixed)
         self.contact.project(proposed)
         if self._frozen:
             self._search(proposed, before)
@@ -114,7 +117,7 @@ class TruncatedStep:
     def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> None:
         """Free what only further steps read, if it is much: half of the matrix, which is made again from the whole one,
         and past iterates, without which recombination starts again."""
-        if self.level.set_aside(matrix, fixed):
+        if self.matrix.set_aside(matrix, fixed):
             self._past.clear()
 
     @property
@@ -130,18 +133,18 @@ class TruncatedStep:
 
     def _projected_sweeps(self) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
-        level, c = self.level, self.contact
+        matrix, c = self.matrix, self.contact
         in_parts(_copy, len(self.load), 2 * len(self.load), self.load, self.residual)
-        level.sweep(projected_sweeps.backward, *level.lower_arrays, level.inverse, c.contact_of, *c.node_data,
+        matrix.sweep(projected_sweeps.backward, *matrix.lower_arrays, matrix.inverse, c.contact_of, *c.node_data,
                     self.unknowns, self.residual, backward=True)
-        level.sweep(projected_sweeps.forward, *level.lower_arrays, level.inverse, c.diagonal, c.contact_of,
+        matrix.sweep(projected_sweeps.forward, *matrix.lower_arrays, matrix.inverse, c.diagonal, c.contact_of,
                     *c.node_data, self.unknowns, self.residual)
-        self.cycle.recorder.count(1.0, level.nonzeros)
+        self.cycle.recorder.count(1.0, matrix.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
 
     def _interface_sweep(self, order: np.ndarray) -> None:
         c = self.contact
-        projected_sweeps.local(ZERO[self.level.dim], order, *self.interface.arrays, self.level.inverse, c.contact_of,
+        projected_sweeps.local(ZERO[self.matrix.dim], order, *self.interface.arrays, self.matrix.inverse, c.contact_of,
                                *c.node_data, self.unknowns, self.residual)
         self.cycle.recorder.count(1.0, self.interface.nonzeros)
 
@@ -153,8 +156,8 @@ class TruncatedStep:
         symmetric; the others keep what Coulomb's law needs."""
         unknowns, load = self._unknowns, self._restricted
         if self._past:
-            dim, (iterates, residuals) = self.below.dim, zip(*self._past, strict=True)
-            d = self.below.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
+            dim, (iterates, residuals) = self.coarse.dim, zip(*self._past, strict=True)
+            d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
             changes = np.array(residuals) - load
             alpha = least_weights(load, changes, d)
             combined = unknowns + alpha @ (np.array(iterates) - unknowns)
@@ -185,17 +188,17 @@ class TruncatedStep:
 
     def _energy_product(self, other: np.ndarray) -> float:
         """Square of the A-norm of the difference to other unknowns; half a pass."""
-        level, arrays = self.level, self.level.lower_arrays
-        self.cycle.recorder.count(0.5, level.nonzeros)
-        return sum_of_parts(projected_sweeps.energy_product, level.n_nodes, len(arrays[-1]), level.strips.order,
-                            ZERO[level.dim], *arrays, level.inverse, self.unknowns, other)
+        matrix, arrays = self.matrix, self.matrix.lower_arrays
+        self.cycle.recorder.count(0.5, matrix.nonzeros)
+        return sum_of_parts(projected_sweeps.energy_product, matrix.n_nodes, len(arrays[-1]), matrix.strips.order,
+                            ZERO[matrix.dim], *arrays, matrix.inverse, self.unknowns, other)
 
     def rounding(self) -> float:
         """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that arithmetic reaches."""
-        level = self.level
-        level.complete()
-        return float(np.sqrt(sum_of_parts(stiff_squares, level.n_nodes, len(level.inverse), level.dim, level.inverse,
-                                          self.unknowns)))
+        matrix = self.matrix
+        matrix.complete()
+        return float(np.sqrt(sum_of_parts(stiff_squares, matrix.n_nodes, len(matrix.inverse), matrix.dim,
+                                          matrix.inverse, self.unknowns)))
 
 
 def _copy(first: int, last: int, source: np.ndarray, to: np.ndarray) -> None:

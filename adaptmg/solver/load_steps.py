@@ -99,7 +99,7 @@ class KeptMultigrid(TruncatedRun):
                 unknowns = self._solve_coarsest(start)
             else:
                 change = (result[-1] - past[number - 1]).reshape(-1, problem.dim)
-                unknowns = past[number] + (self.cycle.prolongations[number - 1] @ change).reshape(-1)
+                unknowns = past[number] + (self.cycle.levels[number].prolongation @ change).reshape(-1)
                 unknowns = problem.from_prescribed(unknowns)
                 self.run.visit(number, "start")
                 if number < len(self.problems) - 1:

@@ -278,13 +278,13 @@ class TruncatedRun:
             if number > 0:
                 unknowns = self._start_cycles(number, unknowns, start)
             with self.run.phase("start"):
-                coarse, fine = self.problems[number], self.problems[number + 1]
+                coarse, fine, finer = *self.problems[number:number + 2], self.cycle.levels[number + 1]
                 solution, displacement = coarse.with_prescribed(unknowns), np.zeros(fine.n_dofs)
-                self.cycle.add_prolonged(number + 1, solution, displacement)
+                finer.prolong(solution, displacement)
                 prolonged = displacement.copy() if self._extrapolation(number + 1) > 0 else None
                 if before is not None:
                     change = self._extrapolation(number) * (solution - before)
-                    self.cycle.add_prolonged(number + 1, change, displacement)
+                    finer.prolong(change, displacement)
                 unknowns, before = fine.from_prescribed(displacement), prolonged
             self.run.visit(number + 1, "start")
         self.run.start_work_units = self.run.work_units
@@ -317,7 +317,8 @@ class TruncatedRun:
     def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         """Steps on level ``number`` from ``unknowns`` (n_dofs,), which become admissible."""
         with self.run.phase("setup"):
-            problem, levels, parts = self.problems[number], self.cycle.levels, self.parts
+            problem, parts = self.problems[number], self.parts
+            levels = [level.matrix for level in self.cycle.levels]
             contact, load = TruncatedContact.of(problem, levels[number]), problem.load_from_prescribed()
             contact.start(unknowns)
             interface = None
