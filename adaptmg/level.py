@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
@@ -114,6 +115,53 @@ class Level:
     def n_nodes(self) -> int:
         """Nodes; of a coarse space the rows of blocks of its matrix."""
         return self.matrix.shape[0] // self.matrix.blocksize[0]
+
+    def prolong(self, u: ArrayLike) -> np.ndarray:
+        """Return values on this level from those on the next coarser one (primal): P u.
+
+        Parameters
+        ----------
+        u : (n_nodes coarse,) or (n_nodes coarse, k) array
+            Nodal values, of displacements say, between bodies relative to the master (``discrete.relative``). Between
+            coarse spaces (n_dofs coarse,).
+
+        Returns
+        -------
+        array
+            (n_nodes,) or (n_nodes, k).
+
+        Examples
+        --------
+        >>> level = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)).finest
+        >>> level.inject(level.prolong(range(9))).astype(int).tolist()
+        [0, 1, 2, 3, 4, 5, 6, 7, 8]
+        """
+        return self.prolongation @ _nodal("u", u, self.prolongation.shape[1])
+
+    def restrict(self, r: ArrayLike) -> np.ndarray:
+        """Return forces or residuals (dual) on the next coarser level from those on this one: P' r, with the same work
+        on all coarse displacements.
+
+        Parameters
+        ----------
+        r : (n_nodes,) or (n_nodes, k) array
+        """
+        return self.prolongation.T @ _nodal("r", r, self.prolongation.shape[0])
+
+    def inject(self, u: ArrayLike) -> np.ndarray:
+        """Return values (primal) on the next coarser level from those on this one: of the node with the largest weight
+        in each column of P, on nested meshes the node at the same place.
+
+        Parameters
+        ----------
+        u : (n_nodes,) or (n_nodes, k) array
+        """
+        at = sparse.csc_array(self.prolongation).argmax(axis=0)
+        return _nodal("u", u, self.prolongation.shape[0])[np.asarray(at).reshape(-1)]
+
+
+def _nodal(name: str, value: ArrayLike, rows: int) -> np.ndarray:
+    return check_arrays.array(name, value, (rows, *[None] * (np.ndim(value) - 1)))
 
 
 Level.discrete = made_on_demand("discrete", "The problem discretised on this grid.",

@@ -59,6 +59,24 @@ def test_prolongations_reproduce_affine_fields(make):
             assert len(fine.discrete.contact) > 1.5 * len(coarse.discrete.contact)
 
 
+@pytest.mark.parametrize("shape", [(), (2,)])
+def test_levels_carry_values_and_forces(shape):
+    rng = np.random.default_rng(0)
+    for grids in (three(), am.Hierarchy.graded(am.cases.greco_bar(), (10e-3, 5e-3))):
+        level, coarse = grids.finest, grids[len(grids) - 2]
+        u, r = rng.normal(size=(coarse.n_nodes, *shape)), rng.normal(size=(level.n_nodes, *shape))
+        assert np.sum(level.prolong(u) * r) == pytest.approx(np.sum(u * level.restrict(r)))
+        # values at the same places on nested meshes, within an element on others
+        off = np.linalg.norm(level.inject(level.mesh.points) - coarse.mesh.points, axis=1)
+        assert off.max() <= (1e-15 if grids is three() else 5e-3)
+        np.testing.assert_allclose(level.prolong(coarse.mesh.points), level.mesh.points, atol=1e-15)
+    np.testing.assert_array_equal(three().finest.inject(three().finest.prolong(np.arange(three()[1].n_nodes))),
+                                  np.arange(three()[1].n_nodes))
+    for wrong in (np.ones(3), "u", 1.0):
+        with pytest.raises((ValueError, TypeError), match="u must"):
+            level.prolong(wrong)
+
+
 def test_sizes_have_defaults_that_follow_bodies_and_contact():
     bar = am.Hierarchy.graded(am.cases.greco_bar())
     assert [level.n_nodes for level in bar] == sorted(level.n_nodes for level in bar) and len(bar) == 3
