@@ -163,28 +163,23 @@ def _at(index: int, value: float):
 
 
 def _arrays():
-    """Arrays that point outside, of another kind or length, or not finite."""
-    nan = float("nan")
-    changes = {
-        "contact.node": {"outside": _at(0, 9), "far": _at(1, 2**40), "floats": lambda a: a + .5,
-                         "text": lambda a: np.array(["a", "b"]), "short": lambda a: a[1:], "none": lambda a: a[:0]},
-        "contact.boundary": {"outside": _at(0, 1)}, "contact.state": {"unknown": _at(0, 3), "negative": _at(0, -2)},
-        "contact.master_node": {"outside": lambda a: np.array([99])}, "contact.gap": {"nan": _at(0, nan)},
-        "contact.frames": {"3D": lambda a: np.zeros((3, 3, 3))}, "contact.u_t": {"column": lambda a: a[:, :0]},
-        "contact.force_n": {"objects": lambda a: a.astype(object)}, "contact.weights": {"complex": lambda a: a + 1j},
-        "displacement": {"nan": _at(0, nan), "short": lambda a: a[:-1], "whole": lambda a: a.astype(int),
-                         "flat": lambda a: a.reshape(-1), "four components": lambda a: np.zeros((9, 4))},
-        "reaction": {"short": lambda a: a[:3]}, "history.cycle": {"short": lambda a: a[:-1]},
-        "mesh.elements": {"negative": _at(0, -1), "far": _at(0, 2**33), "tetrahedra": lambda a: np.zeros((3, 4), int)},
-        "mesh.facets": {"outside": _at(0, 9)}, "mesh.facet_labels": {"outside": _at(0, 4)},
-        "mesh.element_body": {"outside": _at(0, 1)}, "mesh.points": {"nan": _at(0, nan), "short": lambda a: a[1:]}}
-    for name, kinds in changes.items():
+    """Arrays that were changed; and those of a mesh that point outside, with the hash that fits."""
+    changes = {"displacement": _at(0, float("nan")), "contact.node": _at(0, 9), "history.cycle": lambda a: a[:-1],
+               "contact.force_n": lambda a: a.astype(object), "contact.weights": lambda a: a + 1j}
+    for name, change in changes.items():
+        yield refused(f"{name} changed", lambda d, arrays, text, n=name, c=change: packed(
+            arrays | {n: c(arrays[n])}, text.encode()))
+    for name, kinds in {
+            "mesh.elements": {"negative": _at(0, -1), "far": _at(0, 2**33),
+                              "tetrahedra": lambda a: np.zeros((3, 4), int)},
+            "mesh.facets": {"outside": _at(0, 9)}, "mesh.facet_labels": {"outside": _at(0, 4)},
+            "mesh.element_body": {"outside": _at(0, 1)},
+            "mesh.points": {"nan": _at(0, float("nan")), "short": lambda a: a[1:]}}.items():
         for label, change in kinds.items():
-            yield refused(f"{name} {label}", lambda d, arrays, text, n=name, c=change: packed(
-                arrays | {n: c(arrays[n])}, text.encode()))
-    for name in ("displacement", "contact.node", "mesh.points"):
-        yield refused(f"without {name}", lambda d, arrays, text, name=name: packed(
-            {k: v for k, v in arrays.items() if k != name}, text.encode()))
+            yield refused(f"{name} {label}", lambda d, arrays, text, n=name, c=change: _changed(
+                arrays | {n: c(arrays[n])}, text))
+    yield refused("without displacement", lambda d, arrays, text: packed(
+        {k: v for k, v in arrays.items() if k != "displacement"}, text.encode()))
 
 
 INPUTS = (*_files(), *_bombs(), *_texts(), *_arrays())
