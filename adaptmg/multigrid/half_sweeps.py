@@ -108,50 +108,6 @@ ONE = np.uint64(1)
 
 
 @kernel
-def zero_at(vector, positions):
-    """Set entries to zero."""
-    for k in range(len(positions)):
-        vector[positions[k]] = 0.0
-
-
-@kernel
-def dot(first, last, a, b):
-    """a'b, not through BLAS: its threads cost more than they gain."""
-    total = 0.0
-    for at in range(first, last):
-        total += a[at] * b[at]
-    return total
-
-
-@kernel
-def stiff_squares(first, last, dim, inverse, u):
-    """|D u|^2, D one over the diagonals of the inverse blocks, 0 where these are not positive."""
-    total = 0.0
-    for i in range(first, last):
-        for k in range(dim):
-            diagonal = inverse[(i * dim + k) * dim + k]
-            if diagonal > 0.0:
-                total += ((1.0 / diagonal) * u[dim * i + k]) ** 2
-    return total
-
-
-@kernel
-def product_of_change(first, last, r, new, old):
-    """r'(new - old)."""
-    total = 0.0
-    for at in range(first, last):
-        total += r[at] * (new[at] - old[at])
-    return total
-
-
-@kernel
-def shorten(alpha, old, new):
-    """new = old + alpha (new - old)."""
-    for at in range(len(old)):
-        new[at] = old[at] + alpha * (new[at] - old[at])
-
-
-@kernel
 def restrict(first, last, zero, indptr, indices, weights, r, coarse):
     """coarse += P' r; returns r'r."""
     dim = np.uint64(len(zero))

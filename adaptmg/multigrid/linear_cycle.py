@@ -20,7 +20,7 @@ from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
 from adaptmg.multigrid import half_sweeps
 from adaptmg.multigrid.corrections import Recorder
-from adaptmg.multigrid.half_sweeps import add_prolonged, restrict, zero_at
+from adaptmg.multigrid.half_sweeps import add_prolonged, restrict
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import ZERO
 
@@ -62,7 +62,7 @@ class LinearLevel:
         """Restrict a residual to the level below, into ``coarse``; returns its sum of squares."""
         coarse[:] = 0.0
         squares = in_colours(self._scattering, restrict, *self._transfer, residual, coarse)
-        zero_at(coarse, self.below.matrix.fixed)
+        coarse[self.below.matrix.fixed] = 0.0
         return sum(squares)
 
     def prolong(self, coarse: np.ndarray, to: np.ndarray) -> None:
@@ -135,7 +135,7 @@ class LinearCycle:
         level.restrict(rest, level.below.load)
         recorder.visit(number, "restrict")
         level.prolong(self.solve(number - 1, level.below.load), level.solution)
-        zero_at(level.solution, level.matrix.fixed)
+        level.solution[level.matrix.fixed] = 0.0
         recorder.visit(number, "prolong")
         passes += level.postsmooth(load, sweeps)
         recorder.visit(number, "smooth", sweeps)

@@ -96,14 +96,24 @@ class TruncatedContact:
                                       self.pressure))
 
     def linearise_friction(self) -> None:
-        """Take the slip directions (3D: and the Hessian) from the present unknowns."""
-        directions(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference, self.values,
-                   self.direction, self.hessian)
-        if len(self.driven):
-            self.direction.reshape(-1, 2)[self.driven, 0] = 0.0
-            hessian = self.hessian.reshape(-1, 2, 2)
-            hessian[self.driven, 0] = 0.0
-            hessian[self.driven, :, 0] = 0.0
+        """Take the slip directions (3D: and the Hessian of g |slip|) from the present unknowns; zero elsewhere."""
+        slip = self.values.reshape(-1, self.dim)[:, 1:] - self.reference.reshape(-1, self.dim - 1)
+        direction, hessian = self.direction.reshape(slip.shape), self.hessian.reshape(*slip.shape, self.dim - 1)
+        direction[:], hessian[:] = 0.0, 0.0
+        at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
+        # scaled: the square of a slip that is all but zero may vanish
+        largest = np.abs(slip[at]).max(axis=1, keepdims=True)
+        size = largest * np.linalg.norm(slip[at] / largest, axis=1, keepdims=True)
+        direction[at] = along = slip[at] / size
+        if self.dim == 3:
+            across = np.eye(2) - along[:, :, None] * along[:, None, :]
+            hessian[at] = (self._bound[at, None] / size)[:, :, None] * across
+            direction[self.driven, 0], hessian[self.driven, 0], hessian[self.driven, :, 0] = 0.0, 0.0, 0.0
+
+    @property
+    def _bound(self) -> np.ndarray:
+        """g (n_contact,), N."""
+        return self.limit + np.where(self.codes & CLOSED, self.friction * self.pressure, 0.0)
 
     def truncate(self, residual: np.ndarray) -> float:
         """Make f - A u the truncated residual, in place; returns its sum of squares at the contact nodes."""
@@ -140,9 +150,15 @@ class TruncatedContact:
         return bool(cut.sum() <= 1 + self.FEW * len(self.nodes))
 
     def friction_slope(self, before: np.ndarray, alpha: float) -> float:
-        """The slope of sum g |slip| at alpha minus that at 0 along the step from local unknowns ``before``."""
-        return friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference,
-                              before, self.values, alpha)
+        """The slope of sum g |slip| at alpha minus that at 0 along the step from local unknowns ``before``; slipping
+        nodes only."""
+        old, new = (values.reshape(-1, self.dim)[:, 1:] for values in (before, self.values))
+        slip, change = old - self.reference.reshape(-1, self.dim - 1), new - old
+        moved = slip + alpha * change
+        size, first = np.linalg.norm(moved, axis=1), np.linalg.norm(slip, axis=1)
+        at = (self.codes & TANGENTIAL >= SLIPS) & (size > 0.0) & (first > 0.0)
+        slopes = (np.sum(moved * change, axis=1)[at] / size[at] - np.sum(slip * change, axis=1)[at] / first[at])
+        return float(np.sum(self._bound[at] * slopes))
 
 
 @kernel
@@ -229,31 +245,6 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r, l
 
 
 @kernel
-def directions(dim, codes, limit, friction, pressure, reference, values, direction, hessian):
-    """Slip directions and, in 3D, the Hessian of g |slip| at slipping nodes, zero elsewhere. ``pressure`` (n_contact,)
-    is p."""
-    m = dim - 1
-    for k in range(len(codes)):
-        for a in range(m):
-            direction[m * k + a] = 0.0
-        for a in range(m * m):
-            hessian[m * m * k + a] = 0.0
-        if codes[k] & TANGENTIAL < SLIPS:
-            continue
-        size = _slip_size(dim, k, values, reference)
-        for a in range(m):
-            direction[m * k + a] = (values[dim * k + 1 + a] - reference[m * k + a]) / size
-        if m == 2:
-            bound = limit[k]
-            if codes[k] & CLOSED:
-                bound += friction[k] * pressure[k]
-            for a in range(m):
-                for b in range(m):
-                    hessian[4 * k + 2 * a + b] = -bound / size * direction[m * k + a] * direction[m * k + b]
-                hessian[4 * k + 3 * a] += bound / size
-
-
-@kernel
 def project(dim, codes, nodes, frames, gap, reference, values, u, local):
     """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns. Closed nodes keep the gap,
     held ones their place. An open node stops at the gap. A slip that would turn by more than 90 degrees (2D: reverse)
@@ -291,28 +282,3 @@ def project(dim, codes, nodes, frames, gap, reference, values, u, local):
                 total += frames[(dim * k + a) * dim + b] * local[a]
             u[at + b] = total
     return cut
-
-
-@kernel
-def friction_slope(dim, codes, limit, friction, pressure, reference, old, new, alpha):
-    """Derivative of the sum of g |slip| along old + alpha (new - old), minus that at alpha = 0; slipping nodes only."""
-    m = dim - 1
-    total = 0.0
-    for k in range(len(codes)):
-        if codes[k] & TANGENTIAL < SLIPS:
-            continue
-        bound = limit[k]
-        if codes[k] & CLOSED:
-            bound += friction[k] * pressure[k]
-        size, before, product, initial = 0.0, 0.0, 0.0, 0.0
-        for a in range(m):
-            slip = old[dim * k + 1 + a] - reference[m * k + a]
-            change = new[dim * k + 1 + a] - old[dim * k + 1 + a]
-            moved = slip + alpha * change
-            size += moved * moved
-            before += slip * slip
-            product += moved * change
-            initial += slip * change
-        if size > 0.0 and before > 0.0:
-            total += bound * (product / math.sqrt(size) - initial / math.sqrt(before))
-    return total

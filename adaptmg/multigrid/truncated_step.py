@@ -20,9 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from adaptmg._threads import in_parts, sum_of_parts
+from adaptmg._threads import sum_of_parts
 from adaptmg.multigrid import projected_sweeps
-from adaptmg.multigrid.half_sweeps import dot, product_of_change, shorten, stiff_squares, zero_at
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
@@ -104,7 +103,7 @@ class TruncatedStep:
         correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
         energy, proposed, before = _product(load, correction), combined.copy(), self.contact.values.copy()
         self.level.prolong(correction, proposed)
-        zero_at(proposed, self.matrix.fixed)
+        proposed[self.matrix.fixed] = 0.0
         self.contact.project(proposed)
         if self._frozen:
             self._search(proposed, before)
@@ -134,7 +133,7 @@ class TruncatedStep:
     def _projected_sweeps(self) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
         matrix, c = self.matrix, self.contact
-        in_parts(_copy, len(self.load), 2 * len(self.load), self.load, self.residual)
+        self.residual[:] = self.load
         matrix.sweep(projected_sweeps.backward, *matrix.lower_arrays, matrix.inverse, c.contact_of, *c.node_data,
                     self.unknowns, self.residual, backward=True)
         matrix.sweep(projected_sweeps.forward, *matrix.lower_arrays, matrix.inverse, c.diagonal, c.contact_of,
@@ -168,8 +167,8 @@ class TruncatedStep:
     def _search(self, proposed: np.ndarray, before: np.ndarray) -> None:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
         curvature = self._energy_product(proposed)
-        n = len(proposed)
-        gain = sum_of_parts(product_of_change, n, 3 * n, self.residual, proposed, self.unknowns)
+        change = proposed - self.unknowns
+        gain = _product(self.residual, change)
 
         def slope(part: float) -> float:
             return part * curvature - gain + self.contact.friction_slope(before, part)
@@ -179,7 +178,7 @@ class TruncatedStep:
             for _ in range(self.HALVINGS):
                 middle = 0.5 * (low + high)
                 low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
-            shorten(low, self.unknowns, proposed)
+            proposed[:] = self.unknowns + low * change
             self.contact.values[:] = before
             self.contact.project(proposed)
 
@@ -197,17 +196,14 @@ class TruncatedStep:
         """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that arithmetic reaches."""
         matrix = self.matrix
         matrix.complete()
-        return float(np.sqrt(sum_of_parts(stiff_squares, matrix.n_nodes, len(matrix.inverse), matrix.dim,
-                                          matrix.inverse, self.unknowns)))
-
-
-def _copy(first: int, last: int, source: np.ndarray, to: np.ndarray) -> None:
-    to[first:last] = source[first:last]
+        diagonal = matrix.inverse.reshape(-1, matrix.dim, matrix.dim).diagonal(axis1=1, axis2=2).reshape(-1)
+        stiff = np.divide(self.unknowns, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
+        return float(np.sqrt(_product(stiff, stiff)))
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> float:
-    """a'b."""
-    return float(sum_of_parts(dot, len(a), 2 * len(a), a, b))
+    """a'b, not through BLAS: its threads cost more than they gain."""
+    return float(np.einsum("i,i->", a, b))
 
 
 #: residuals count as dependent below this singular value of their scaled products
