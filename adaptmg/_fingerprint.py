@@ -1,10 +1,10 @@
 """Fingerprint: what a run depends on, part by part.
 
 From the run function on, functions and classes of the user's modules are followed by what they read: globals, variables
-of closures, defaults, attributes, imports. Of a function the compiled code counts (a file may be edited after it is
-loaded), of a value its pickle, of a module that is imported inside a function or used as a value all names. adaptmg
-counts by one hash of its numerical sources, an installed package by its version, the user's compiled modules by their
-content. :class:`adaptmg.study.Study` lists what is not seen.
+of closures, defaults, attributes, imports. Of a function the instructions count, those that run and not those of a file
+that was edited since; they contain neither docstrings, comments nor lines. Of a value its pickle counts, of an instance
+of a user's class all that it holds. adaptmg counts by one hash of its numerical sources, an installed package by its
+version. What cannot be compared is refused; :class:`adaptmg.study.Study` lists what is not seen.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import enum
 import functools
 import hashlib
 import importlib
-import importlib.machinery
 import importlib.metadata
 import importlib.util
 import io
@@ -25,30 +24,37 @@ import pickle
 import platform
 import random
 import sys
+import sysconfig
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType, ModuleType
+from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType, MemberDescriptorType, ModuleType
 
 import numpy as np
 
 #: on which the results of adaptmg depend, with itself
 PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
-_NOT_NUMERICAL = ("_fingerprint.py", "export", "plot", "study")
-_COMPILED = tuple(importlib.machinery.EXTENSION_SUFFIXES)
-_MAIN = ("__main__", "__mp_main__")
-_NAMED = (FunctionType, type, ModuleType)
+_NOT_NUMERICAL = ("_fingerprint.py", "cli", "export", "plot", "study")
+_MAIN, _NAMED = ("__main__", "__mp_main__"), (FunctionType, type, ModuleType)
 #: what runs would share and change, or what only an address stands for
 _REFUSED = (np.random.Generator, np.random.RandomState, np.random.BitGenerator, random.Random, ctypes.CDLL)
-#: a function that reads one of these may read any global, or import a module that is named in a text
-_ANY = {"eval", "exec", "globals", "modules", "__import__", "import_module"}
+#: a function that reads one of these may read anything, or what does not count
+_HIDDEN = {"eval", "exec", "globals", "__import__", "import_module", "modules", "__annotations__", "__doc__",
+           "__subclasses__"}
 _GLOBAL, _ATTRIBUTE = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"), ("LOAD_ATTR", "LOAD_METHOD")
-#: names of a module or class that do not count
+#: names of a class or module that do not count, and objects that stand for the layout of a class
 _BOOKS = {"__abstractmethods__", "__annotate_func__", "__annotations__", "__builtins__", "__cached__", "__dict__",
           "__doc__", "__file__", "__firstlineno__", "__loader__", "__module__", "__name__", "__package__", "__path__",
-          "__qualname__", "__slotnames__", "__spec__", "__static_attributes__", "__weakref__", "_value2member_map_"}
+          "__qualname__", "__slotnames__", "__spec__", "__static_attributes__", "__weakref__", "_abc_impl",
+          "_value2member_map_"}
+#: objects that cannot be pickled: attributes that stand for them
+_STANDS: dict[type, tuple[str, ...]] = {
+    staticmethod: ("__func__",), classmethod: ("__func__",), property: ("fget", "fset", "fdel"),
+    cached_property: ("func",), typing.TypeVar: ("__name__",), functools._lru_cache_wrapper: ("__wrapped__",),
+    MemberDescriptorType: ("__name__",)}
+_BASES = (dict, list, tuple, set, frozenset, str, bytes, bytearray, int, float, complex)
 
 
 @dataclass(frozen=True)
@@ -81,9 +87,9 @@ class Fingerprint:
 
 
 def fingerprint(function: Callable[..., object], depends: Mapping[str, object] | None = None) -> Fingerprint:
-    """Return what a plain function depends on; TypeError for a value that it reads and that cannot be compared.
-    ``depends`` has values by name, in place of globals and variables of closures, or for anything else; a
-    :class:`pathlib.Path` stands for the content of the file."""
+    """Return what a plain function depends on; TypeError for what it reads and cannot be compared. ``depends`` has
+    values by name, in place of globals and variables of closures, or for anything else; a :class:`pathlib.Path` in it
+    stands for the content of the file."""
     if not isinstance(function, FunctionType):
         raise TypeError(f"run must be a plain function (def), got {function!r}; give constants with fixed={{...}}")
     found = _Parts(depends or {}, function.__globals__)
@@ -101,7 +107,7 @@ def value_parts(values: Mapping[str, object], depends: Mapping[str, object] | No
 
 def environment() -> dict[str, str]:
     """Return the versions of Python and of the packages the results depend on."""
-    return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
+    return {"python": platform.python_version(), **{name: _version(name) or "unknown" for name in PACKAGES}}
 
 
 class _Parts:
@@ -115,8 +121,7 @@ class _Parts:
         self._names: dict[int, str] = {}
         self._found: dict[str, list[object]] = {}
         self._waiting: list[tuple[str, object]] = []  # no recursion, which has a limit
-        self._parts = {f"depends {name}": self._hash(value.read_bytes() if isinstance(value, Path) else value)
-                       for name, value in depends.items()}
+        self._parts = {f"depends {name}": self._hash(value, files=True) for name, value in depends.items()}
 
     def complete(self) -> dict[str, str]:
         """Examine all functions, classes and modules that were found, and return the parts."""
@@ -127,7 +132,9 @@ class _Parts:
                 continue
             if isinstance(thing, type):
                 self._parts[f"class {name}"] = self._hash((thing.__bases__, type(thing)))
-            self._all(name, vars(thing), strict=isinstance(thing, type))
+            for key, value in sorted(vars(thing).items()):
+                if key not in _BOOKS:
+                    self.value(f"{name}.{key}", value)
         return self._parts
 
     def value(self, where: str, value: object) -> None:
@@ -151,7 +158,7 @@ class _Parts:
         # classes that are sent to workers lose the name of the function around them
         name = self._home(module) if isinstance(thing, ModuleType) else \
             f"{self._home(module)}.{thing.__name__ if isinstance(thing, type) else thing.__qualname__}"
-        if not self._is_own(module) and not follow:
+        if not self.is_own(module) and not follow:
             return f"installed {name}"
         # closures and classes of one name get numbers; the list keeps them alive, and so their id
         same = self._found.setdefault(name, [])
@@ -164,172 +171,195 @@ class _Parts:
     def _home(self, module: str) -> str:
         return self._main if module in _MAIN else module
 
-    def _is_own(self, module: str) -> bool:
+    def is_own(self, module: str) -> bool:
         """Whether a module is one of the user's, and not compiled; of others the version or content becomes a part."""
-        top, spec = module.split(".")[0], None if module in _MAIN else _spec(module)
-        if top == "adaptmg":
-            self._parts[top] = _sources()
-        elif module in _MAIN or top not in sys.stdlib_module_names:
-            places = [spec.origin or "", *(spec.submodule_search_locations or ())] if spec else []
-            if not any({"site-packages", "dist-packages"} & set(Path(place).parts) or place.endswith(_COMPILED)
-                       for place in places):
-                return True
-            self._parts[f"package {top}"] = _version(top, places[0])
-        return False
+        if version := _installed(module):
+            top = module.split(".")[0]
+            self._parts[top if top == "adaptmg" else f"package {top}"] = version
+        return version is None
 
-    def _hash(self, value: object) -> str:
+    def _hash(self, value: object, files: bool = False) -> str:
         try:
-            content = _pickled(value, self.name_of)
+            content = _pickled(value, self, files)
         except ValueError:  # an object that contains itself
-            content = _pickled(value, self.name_of, fast=False)
+            content = _pickled(value, self, files, fast=False)
         return hashlib.sha256(content).hexdigest()[:16]
 
     def _function(self, name: str, function: FunctionType) -> None:
-        code, namespace, cells = function.__code__, function.__globals__, {}
+        code, namespace, values = function.__code__, function.__globals__, {}
+        home = self._home(namespace.get("__name__", "__main__"))
         self._parts[f"function {name}"] = self._hash(code)
         for key in ("__defaults__", "__kwdefaults__", *vars(function)):
             if (value := getattr(function, key)) is not None:
                 self.value(f"{name}.{key}", value)
         for variable, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
             with contextlib.suppress(ValueError):  # not set
-                cells[variable] = cell.cell_contents
-        home = self._home(namespace.get("__name__", "__main__"))
-        names, imports = _reads(code, namespace.get("__package__") or "")
-        for first, *attributes in names:
-            if first in cells:
-                self._read(f"{first} around {name}", cells[first], attributes)
-            elif first in namespace:
-                self._read(f"{home}.{first}", namespace[first], attributes)
-            if _ANY.intersection((first, *attributes)):
-                self._all(home, namespace, strict=False)
-        for module in imports:
-            if (module in sys.modules or _spec(module)) and self._is_own(module):
-                with contextlib.suppress(Exception):  # the run will raise it
-                    self.name_of(importlib.import_module(module))
+                values[variable] = f"{variable} around {name}", cell.cell_contents
+        chains, imports = _reads(code)
+        for first, *attributes in chains:
+            hidden = _HIDDEN.intersection((first, *attributes) if first not in namespace else attributes)
+            if hidden - set(self._depends):
+                raise TypeError(f"{name} reads {min(hidden)}, so that it cannot be seen what results depend on: name "
+                                f"what stands for it: depends={{{min(hidden)!r}: ...}}")
+            if first in values or first in namespace:
+                self._read(*values.get(first) or (f"{home}.{first}", namespace[first]), attributes)
+        for level, module, names in imports:
+            with contextlib.suppress(ImportError):  # the run will raise it
+                module = importlib.util.resolve_name("." * level + module, namespace.get("__package__") or "")
+                if not self.is_own(module):
+                    continue
+                found = importlib.import_module(module)
+                for item in names or ():
+                    if not hasattr(found, item):
+                        importlib.import_module(f"{module}.{item}")
+                    self._read(self._home(module), found, [item])
+                for part in itertools.accumulate([] if names else module.split("."), "{}.{}".format):
+                    self.value(self._home(part), sys.modules[part])
 
     def _read(self, where: str, value: object, attributes: Sequence[str]) -> None:
         """Add a variable, or of a user's module the attribute that is taken from it."""
         for attribute in attributes:
-            if not isinstance(value, ModuleType) or not self._is_own(value.__name__) or attribute not in vars(value):
+            if not isinstance(value, ModuleType) or not self.is_own(value.__name__) or attribute not in vars(value):
                 break
             self._parts[f"value of {where}"] = self._hash(value.__name__)
             where, value = f"{self._home(value.__name__)}.{attribute}", vars(value)[attribute]
         self.value(where, value)
 
-    def _all(self, name: str, values: Mapping[str, object], strict: bool) -> None:
-        """Add all names of a class, or of a module, which may hold values that cannot be compared."""
-        for key, value in sorted(values.items()):
-            if key not in _BOOKS and not type(value).__name__.endswith(("_descriptor", "_abc_data")):
-                with contextlib.suppress(*() if strict else (TypeError,)):
-                    self.value(f"{name}.{key}", value)
-
-
-#: objects that cannot be pickled: attributes that stand for them
-_STANDS: dict[type, tuple[str, ...]] = {
-    staticmethod: ("__func__",), classmethod: ("__func__",), property: ("fget", "fset", "fdel"),
-    cached_property: ("func",), typing.TypeVar: ("__name__",), functools._lru_cache_wrapper: ("__wrapped__",)}
-
 
 class _Pickler(pickle.Pickler):
     """Pickle for comparison: functions, classes and modules by name, some objects by their parts."""
 
-    name_of: Callable[[object], str]
+    found: _Parts
+    files: bool  # whether paths stand for files
+    held: dict[int, tuple[int, object]]  # instances by id, kept alive
 
     def persistent_id(self, value: typing.Any) -> object:
-        kind = type(value)
-        if kind in (str, int, float, bool, type(None), bytes, list, dict, tuple):
+        kind, found = type(value), self.found
+        if kind in _BASES[:3] or kind in (str, int, float, bool, type(None), bytes):
             return None
         if isinstance(value, _NAMED):
-            return self.name_of(value)
+            return found.name_of(value)
         if kind is BuiltinFunctionType and isinstance(value.__self__, ModuleType):
-            return self.name_of(value.__self__), value.__name__
+            return found.name_of(value.__self__), value.__name__
         if kind in (set, frozenset):
-            return kind.__name__, sorted(_pickled(item, self.name_of) for item in value)
+            return kind.__name__, sorted(_pickled(item, found, self.files) for item in value)
         if kind in (CodeType, MappingProxyType):
             return _plain_code(value) if kind is CodeType else dict(value)
         if kind in _STANDS:
             return kind.__name__, [getattr(value, name) for name in _STANDS[kind]]
-        if kind.__module__.startswith("numba."):
-            inner = getattr(value, "py_func", None) or getattr(value, "__wrapped__", None)
-            if hasattr(value, "jit_methods"):
-                return "jitclass", str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
-            if isinstance(inner, FunctionType):
-                return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
+        if kind.__module__.startswith("numba.") and hasattr(value, "jit_methods"):  # of a numba.experimental.jitclass
+            return str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
+        if kind.__module__.startswith("numba.") and isinstance(
+                inner := getattr(value, "py_func", getattr(value, "__wrapped__", None)), FunctionType):
+            return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
         if isinstance(value, _REFUSED):
             raise pickle.PicklingError("runs share its state, or it has an address alone; random numbers come from a "
                                        "seed that is a parameter")
+        if self.files and isinstance(value, Path):
+            return "file", _content(value)
         if isinstance(value, enum.Enum):  # early releases of Python 3.11 pickle the name alone
             return kind, value._name_, value._value_
-        # cached properties follow from the rest
-        caches = {name for owner in kind.__mro__ for name, part in vars(owner).items() if type(part) is cached_property}
-        return (kind, {name: part for name, part in vars(value).items() if name not in caches}) if caches else None
+        caches = any(type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values())
+        if not found.is_own(kind.__module__) and not (caches and kind.__reduce__ is object.__reduce__):
+            return None
+        if id(value) in self.held:
+            return "again", self.held[id(value)][0]
+        self.held[id(value)] = len(self.held), value
+        return _held(value, found)
 
 
-def _pickled(value: object, name_of: Callable[[object], str], fast: bool = True) -> bytes:
+def _held(value: typing.Any, found: _Parts) -> tuple[object, ...]:
+    """Return all that an instance holds, whatever its pickle leaves out; cached properties follow from the rest."""
+    kind = type(value)
+    names = {name: part for owner in reversed(kind.__mro__) for name, part in vars(owner).items()}
+    held = {name: getattr(value, name) for name, part in names.items()
+            if type(part) is MemberDescriptorType and hasattr(value, name)}
+    held |= {name: item for name, item in getattr(value, "__dict__", {}).items()
+             if type(names.get(name)) is not cached_property}
+    reduce = next((vars(base)["__reduce__"] for base in kind.__mro__[:-1]
+                   if "__reduce__" in vars(base) and not found.is_own(base.__module__)), None)
+    if reduce is not None:  # of a class below that is not the user's, such as arrays
+        return kind, held, reduce(value)
+    return kind, held, next((base(value) for base in _BASES if isinstance(value, base)), None)
+
+
+def _pickled(value: object, found: _Parts, files: bool = False, fast: bool = True) -> bytes:
     buffer = io.BytesIO()
     pickler = _Pickler(buffer, 5)
     # without references to what was pickled before, which depend on whether equal strings are one object
-    pickler.fast, pickler.name_of = fast, name_of
+    pickler.fast, pickler.found, pickler.files, pickler.held = fast, found, files, {}
     pickler.dump(value)
     return buffer.getvalue()
 
 
 def _plain_code(code: CodeType) -> tuple[object, ...]:
-    """Return a code object without file, lines and docstring."""
-    constants = code.co_consts
-    # Python 3.13 has a flag for docstrings; before, the first constant of every function that is defined is its own
-    documented = code.co_flags & 0x4000000 if sys.version_info >= (3, 13) else \
-        code.co_flags & 1 and not code.co_name.startswith("<")
-    if documented and isinstance(constants[0], str):
-        constants = (None, *constants[1:])
+    """Return a code object without file, lines and docstrings: no instruction of a function reads its docstring, and a
+    class stores it under a name that does not count."""
+    steps = [(step.opname, step.argval) for step in dis.get_instructions(code)]
+    kept = [step for step, after in zip(steps, [*steps[1:], ("", None)], strict=True)
+            if not any(name == "STORE_NAME" and value in _BOOKS for name, value in (step, after))]
     return ("code", code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags & 0x2AC,
-            code.co_code, code.co_names, code.co_varnames, code.co_freevars, code.co_exceptiontable, constants)
+            code.co_varnames, code.co_freevars, code.co_exceptiontable, kept)
 
 
-def _reads(code: CodeType, package: str) -> tuple[list[tuple[str, ...]], list[str]]:
-    """Return globals and variables of closures that are read, with attributes taken from them, and modules that are
-    imported from a function in a package."""
-    names: list[tuple[str, ...]] = []
-    imports: list[str] = []
-    parts = [code]
+def _reads(code: CodeType) -> tuple[list[tuple[str, ...]], list[tuple[int, str, tuple[str, ...] | None]]]:
+    """Return globals and variables of closures that are read, with attributes taken from them, and imports as level,
+    module and names in it."""
+    chains, imports, parts = [], [], [code]
     for part in parts:
         parts += [constant for constant in part.co_consts if isinstance(constant, CodeType)]
         steps = [step for step in dis.get_instructions(part) if step.opname != "EXTENDED_ARG"]
         for place, step in enumerate(steps):
             if step.opname in _GLOBAL or ("DEREF" in step.opname and step.argval in code.co_freevars):
-                after = itertools.takewhile(lambda one: one.opname in _ATTRIBUTE, steps[place + 1:place + 9])
-                names.append((step.argval, *(one.argval for one in after)))
+                after = itertools.takewhile(lambda one: one.opname in _ATTRIBUTE, steps[place + 1:])
+                chains.append((step.argval, *(one.argval for one in after)))
+            elif step.opname in _ATTRIBUTE and step.argval in _HIDDEN:
+                chains.append((step.argval,))
             elif step.opname == "IMPORT_NAME":
-                level, listed = (before.argval for before in steps[place - 2:place])
-                with contextlib.suppress(ImportError):  # the run will raise it
-                    module = importlib.util.resolve_name("." * level + step.argval, package)
-                    imports += [module, *(f"{module}.{name}" for name in listed or ())]
-    if any(_ANY.intersection(chain) for chain in names):
-        imports += [text for part in parts for text in part.co_consts
-                    if isinstance(text, str) and all(piece.isidentifier() for piece in text.split("."))]
-    return list(dict.fromkeys(names)), imports
-
-
-def _spec(name: str) -> importlib.machinery.ModuleSpec | None:
-    try:
-        return importlib.util.find_spec(name)
-    except Exception:  # made by hand, or sent to a worker that lacks it; or its package cannot be imported
-        return None
+                level, names = (before.argval for before in steps[place - 2:place])
+                imports.append((level, step.argval, names))
+    return list(dict.fromkeys(chains)), imports
 
 
 @cache
-def _version(package: str, file: str = "") -> str:
-    """Return the version of an installed package, or the hash of a compiled module of the user."""
+def _installed(module: str) -> str | None:
+    """Return the version of an installed module, the hash of a compiled one, "" of Python's, None of the user's."""
+    if (top := module.split(".")[0]) == "adaptmg":
+        return _sources()
     try:
+        spec = None if module in _MAIN else importlib.util.find_spec(module)
+    except Exception:  # made by hand, or sent to a worker that lacks it; or its package cannot be imported
+        spec = None
+    if spec is None:
+        return None
+    place = Path(spec.origin or next(iter(spec.submodule_search_locations or ()), ""))
+    if {"site-packages", "dist-packages"} & set(place.parts):
+        return _version(top)
+    if spec.origin in ("built-in", "frozen") or any(Path(sysconfig.get_path(name)) in place.parents
+                                                    for name in ("stdlib", "platstdlib")):
+        return ""
+    return _content(place) if place.suffix in (".so", ".pyd") else None
+
+
+@cache
+def _version(package: str) -> str | None:
+    """Return the version of an installed package; None of a file that belongs to none, which counts as the user's."""
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
         return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:16] if file.endswith(_COMPILED) else \
-            str(getattr(sys.modules.get(package), "__version__", "unknown"))
+    owners = importlib.metadata.packages_distributions().get(package, ())
+    return " ".join(map(importlib.metadata.version, owners)) or None
+
+
+def _content(path: Path) -> str:
+    if not path.is_file():
+        raise ValueError(f"{path} must be a file")
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 @cache
 def _sources() -> str:
-    """Return one hash of adaptmg's numerical sources as this process first saw them."""
+    """Return one hash of adaptmg's numerical sources; RuntimeError for those that were edited after their import."""
     root, content = Path(__file__).parent, hashlib.sha256()
     for file in sorted(root.rglob("*.py")):
         if file.relative_to(root).parts[0] not in _NOT_NUMERICAL:

@@ -3,47 +3,38 @@
 A run is sent when a worker is free, so that the run of a worker that dies is identified. A run whose worker died is
 tried again. Results come back through dask: workers need no disk in common with this process.
 
-Only this process decides that a run is over a limit: its clock starts when the worker reports that the run begins, and
-a plugin in dask's nannies reports the memory of their workers. The run is cancelled, the nanny kills the process, even
-one in compiled code, and starts another. A worker that dies on its own is never taken for one over its limit.
+This process decides that a run is over its time: the clock starts when the worker reports that the run begins. The run
+is cancelled, and dask's nanny kills the process, even one in compiled code, and starts another. A nanny also ends a
+worker that holds too much memory, and reports it.
 """
 
 from __future__ import annotations
 
-import asyncio
 import concurrent.futures
 import contextlib
-import ctypes
 import functools
 import itertools
 import logging
 import math
-import multiprocessing
-import multiprocessing.spawn
-import os
 import pickle
 import queue
 import re
-import signal
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-import dask.config
 import psutil
-from distributed import Client, Future, KilledWorker, LocalCluster, Nanny, Scheduler, get_worker
+from distributed import Client, Future, KilledWorker, LocalCluster, Nanny, get_worker
 from distributed.comm import CommClosedError
 from distributed.deploy import Cluster
-from distributed.diagnostics.plugin import NannyPlugin
 from distributed.utils import sync
-from tornado.ioloop import PeriodicCallback
 
 from adaptmg import _checks as checks
-from adaptmg._files import waiting_folder
 from adaptmg.study.execute import (
+    LOOK_S,
     Execute,
     Finished,
     Order,
@@ -57,24 +48,23 @@ from adaptmg.study.execute import (
     readied,
     sent,
 )
+from adaptmg.study.processes import MOST_TRIES, local_cluster
 
 _log = logging.getLogger(__name__)
 
-#: starts of a run until it counts as failed, as workers died
-MOST_TRIES = 3
-#: seconds that a cluster may take to have a worker, between two looks, and for a scheduler to answer
-PATIENCE_S, _LOOK_S, CONNECT_S = 60.0, 0.5, 10.0
-#: looks without a process of this machine until the study gives up
-_TRIES = 3
+#: seconds that a cluster may take to have a worker, and for a scheduler to answer
+PATIENCE_S, CONNECT_S = 60.0, 10.0
 _GONE = "the processes that compute runs ended, and dask does not start them again (is the system out of memory?); " \
         "finished runs are stored: run the study again, with fewer workers"
 
 
 @contextmanager
-def opened(workers: int | None, scheduler: str | Client | Cluster | None, runs: int) -> Iterator[Execute]:
+def opened(workers: int | None, scheduler: str | Client | Cluster | None, runs: int, memory_limit: int | None
+           ) -> Iterator[Execute]:
     """Yield an executor on new processes of this machine, or on the cluster of the user."""
     if scheduler is None:
-        with local_cluster(min(checks.integer("workers", workers, minimum=1), max(runs, 1))) as client:
+        count = min(checks.integer("workers", workers, minimum=1), max(runs, 1))
+        with local_cluster(count, memory_limit=memory_limit) as client:
             yield OnCluster(client)
     elif isinstance(scheduler, Client):
         yield OnCluster(scheduler)
@@ -105,11 +95,11 @@ class OnCluster:
         """Runs that are being computed."""
         return 0 if self._runs is None else self._runs.running
 
-    def __call__(self, task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, Finished]]]:
+    def __call__(self, task: Task, points: Iterator[Point | None]) -> Iterator[list[tuple[Point, Finished]]]:
         """Compute ``task`` at ``points``."""
         order = Order(sent(task.function), identity(), task.fingerprint.seen(), task.depends)
-        check_workers(self._client, order, limited=task.limit_s is not None or task.memory_limit is not None)
-        self._runs = _Runs(self._client, order, points, task.limit_s, task.memory_limit)
+        check_workers(self._client, order, limited=task.limit_s is not None)
+        self._runs = _Runs(self._client, order, points, task.limit_s)
         yield from self._runs.finished()
 
 
@@ -122,7 +112,7 @@ def check_workers(client: Client, order: Order, limited: bool) -> None:
             raise ValueError(f"the worker {name} has {worker['nthreads']} threads: start workers with one each ('dask "
                              f"worker {address} --nthreads 1 --nworkers N'), as libraries below are not safe for more")
         if limited and not worker["nanny"]:
-            raise ValueError(f"the worker {name} has no nanny, which would restart it after limit_s or memory_limit: "
+            raise ValueError(f"the worker {name} has no nanny, which would restart it after limit_s: "
                              "start workers without --no-nanny")
     for name, error in client.run(_check, order, on_error="return").items():
         if isinstance(error, CommClosedError):
@@ -173,29 +163,6 @@ def _kill_worker(dask_worker: Nanny) -> None:
         psutil.Process(dask_worker.pid).kill()
 
 
-def _allowed_failures(dask_scheduler: Scheduler) -> int:
-    return int(dask_scheduler.allowed_failures)
-
-
-class _MemoryWatch(NannyPlugin):
-    """Reports workers that hold more than ``limit`` bytes."""
-
-    def __init__(self, limit: int, topic: str) -> None:
-        self.limit, self.topic = limit, topic
-
-    def setup(self, nanny: Nanny) -> None:
-        self.looks = PeriodicCallback(lambda: self._look(nanny), 100)
-        self.looks.start()
-
-    def _look(self, nanny: Nanny) -> None:
-        with contextlib.suppress(psutil.Error):
-            if nanny.pid and psutil.Process(nanny.pid).memory_info().rss > self.limit:
-                nanny.log_event(self.topic, {"run": None, "worker": nanny.worker_address})
-
-    def teardown(self, nanny: Nanny) -> None:
-        self.looks.stop()
-
-
 @dataclass(eq=False)
 class _Run:
     """A run that is out."""
@@ -204,29 +171,26 @@ class _Run:
     tries: int
     sent: float
     future: Future
-    worker: str = ""  # where it has begun, if there are limits
-    clock: object = None  # handle of its time limit
-    stopped: bool = False
+    worker: str = ""  # where it has begun, if there is a limit
+    began: float = math.inf
 
 
 class _Runs:
     """All runs of one call."""
 
-    def __init__(self, client: Client, order: Order, points: Sequence[Point], limit_s: float | None,
-                 memory_limit: int | None) -> None:
-        self._client, self._order = client, pickle.dumps(order)
-        self._limit_s, self._memory_limit = limit_s, memory_limit
+    def __init__(self, client: Client, order: Order, points: Iterator[Point | None], limit_s: float | None) -> None:
+        self._client, self._order, self._limit_s = client, pickle.dumps(order), limit_s
         self._name = f"adaptmg-{uuid.uuid4().hex[:12]}"
-        self._limited = limit_s is not None or memory_limit is not None
         self._numbers = itertools.count()
-        self._left: deque[tuple[Point, int]] = deque((point, 1) for point in points)
+        self._points, self._open = points, True
+        self._left: deque[tuple[Point, int]] = deque()
         #: last tries, one at a time when all else is done: a worker that dies then dies because of the run
         self._alone: deque[tuple[Point, int]] = deque()
         self._out: dict[str, _Run] = {}
         self._back: queue.SimpleQueue[tuple[str, Finished | BaseException]] = queue.SimpleQueue()
         self._slots, self._looked = 1, -math.inf
-        #: how often dask itself starts a run again; unless set otherwise three times
-        self._allowed = 3
+        #: workers that held too much memory
+        self._large: set[str] = set()
 
     @property
     def running(self) -> int:
@@ -235,15 +199,16 @@ class _Runs:
 
     def finished(self) -> Iterator[list[tuple[Point, Finished]]]:
         """Yield runs as they finish, those of one moment together."""
-        with contextlib.suppress(Exception):  # some clusters refuse this
-            self._allowed = self._client.run_on_scheduler(_allowed_failures)
-        if self._limited:
-            self._client.subscribe_topic(self._name, self._event)
-        if self._memory_limit is not None:
-            self._client.register_plugin(_MemoryWatch(self._memory_limit, self._name), name=self._name)
+        self._client.subscribe_topic("worker-restart-memory", lambda event: self._large.add(event[1]["worker"]))
+        if self._limit_s is not None:
+            self._client.subscribe_topic(self._name, self._begun)
         try:
             self._send()
-            while self._out:
+            while self._out or self._open:
+                if not self._out:  # other processes compute what is left
+                    time.sleep(LOOK_S)
+                    self._send()
+                    continue
                 done = [row for name, result in self._come_back() if (row := self._outcome(name, result)) is not None]
                 # before the rows are stored, so that workers need not wait for the disk
                 self._send()
@@ -252,20 +217,17 @@ class _Runs:
         finally:
             with contextlib.suppress(Exception):  # the scheduler may be gone, and its client closed
                 self._drop()
-                if self._memory_limit is not None:
-                    self._client.unregister_worker_plugin(self._name, nanny=True)
-                if self._limited:
+                self._client.unsubscribe_topic("worker-restart-memory")
+                if self._limit_s is not None:
                     self._client.unsubscribe_topic(self._name)
 
     def _drop(self) -> None:
         """Cancel the runs that are out; on a cluster that goes on, nannies restart the workers that compute them."""
         if not self._out:
             return
-        busy = []
-        if self._allowed:
-            # the scheduler does not know yet where a run of a moment ago is
-            time.sleep(0.2)
-            busy = [address for address, keys in self._client.processing().items() if set(keys) & set(self._out)]
+        # the scheduler does not know yet where a run of a moment ago is
+        time.sleep(0.2)
+        busy = [address for address, keys in self._client.processing().items() if set(keys) & set(self._out)]
         self._client.cancel([run.future for run in self._out.values()], force=True)
         if busy:
             self._client.run(_kill_worker, nanny=True, workers=busy, on_error="ignore")
@@ -274,63 +236,56 @@ class _Runs:
         now = time.monotonic()
         if now - self._looked > 1.0:
             self._slots, self._looked = max(len(self._client.nthreads()), 1), now
-        while (self._left and len(self._out) < self._slots) or (self._alone and not self._out):
-            point, tries = (self._left or self._alone).popleft()
+        while len(self._out) < self._slots and (task := self._next()) is not None:
+            point, tries = task
             name = f"{self._name}-{next(self._numbers)}"
-            future = self._client.submit(_on_worker, self._order, point, tries, name, self._name * self._limited,
-                                         key=name, pure=False)
+            future = self._client.submit(_on_worker, self._order, point, tries, name,
+                                         self._name * (self._limit_s is not None), key=name, pure=False)
             self._out[name] = _Run(point, tries, time.monotonic(), future)
-            self._client.loop.add_callback(self._wait_for, name, future)
+            future.add_done_callback(functools.partial(self._fetch, name))
 
-    async def _wait_for(self, name: str, future: Future) -> None:
-        """Fetch the result of a run, in the thread of dask (as_completed sleeps .1 s where it misses a wake-up)."""
+    def _next(self) -> tuple[Point, int] | None:
+        if not self._left and self._open:
+            with contextlib.suppress(StopIteration):
+                point = next(self._points)
+                return None if point is None else (point, 1)
+            self._open = False
+        return self._left.popleft() if self._left else self._alone.popleft() if self._alone and not self._out else None
+
+    def _fetch(self, name: str, future: Future) -> None:
+        """Fetch what a run gave, in a thread of dask."""
         try:
-            result = await future._result(raiseit=False)
+            result = future.result()
         except BaseException as error:
             result = error
-        run = self._out.get(name)
-        if run is not None and not run.stopped:
-            self._back.put((name, result[1] if isinstance(result, tuple) else result))
+        self._back.put((name, result))
 
-    def _event(self, event: tuple[float, dict[str, str | None]]) -> None:
-        """A worker reports that a run begins, or a nanny that its worker holds too much memory."""
-        name, address = event[1]["run"], event[1]["worker"]
-        if name is None:
-            for busy in [key for key, run in list(self._out.items()) if run.worker == address]:
-                self._client.loop.add_callback(
-                    self._stop, busy, "MemoryLimit: stopped as its process held more than "
-                                      f"memory_limit={self._memory_limit} bytes")
-        elif (run := self._out.get(name)) is not None:
-            run.worker = address
-            if run.clock is not None:  # dask started it again on another worker
-                self._client.loop.remove_timeout(run.clock)
-            if self._limit_s is not None:
-                run.clock = self._client.loop.call_later(self._limit_s, self._stop, name,
-                                                         f"TimeLimit: stopped after limit_s={self._limit_s:g} s")
+    def _begun(self, event: tuple[float, dict[str, str]]) -> None:
+        """A worker reports that a run begins, perhaps again, as dask started it on another worker."""
+        if (run := self._out.get(event[1]["run"])) is not None:
+            run.worker, run.began = event[1]["worker"], time.monotonic()
 
-    async def _stop(self, name: str, why: str) -> None:
-        """Stop a run that is over a limit, in the thread of dask."""
-        run = self._out.get(name)
-        if run is None or run.stopped or run.future.done():
-            return
-        worker = run.worker
-        try:
-            if name not in (await self._client.scheduler.processing()).get(worker, ()) or run.stopped:
-                return  # its worker died, and dask starts it again on another one, with a new clock
-            run.stopped = True
+    def _stop_late(self) -> None:
+        """Stop the runs that are over their time."""
+        for name, run in self._out.items():
+            if self._limit_s is None or time.monotonic() - run.began < self._limit_s or run.future.done():
+                continue
+            run.began = math.inf
+            if name not in self._client.processing().get(run.worker, ()):
+                continue  # its worker died, and dask starts it again on another one, with a new clock
             # cancelled first, so that dask does not start it elsewhere
-            await self._client._cancel([run.future], force=True)
-            await self._client._run(_kill_worker, nanny=True, workers=[worker], on_error="ignore")
-        except Exception as error:
-            _log.warning("the worker %s of a run over its limit was not killed: %s", run.worker, error_text(error))
-        self._back.put((name, Finished(error=why, seconds=time.monotonic() - run.sent, tries=run.tries)))
+            self._back.put((name, Finished(error=f"TimeLimit: stopped after limit_s={self._limit_s:g} s",
+                                           seconds=time.monotonic() - run.sent, tries=run.tries)))
+            self._client.cancel([run.future], force=True)
+            self._client.run(_kill_worker, nanny=True, workers=[run.worker], on_error="ignore")
 
     def _come_back(self) -> list[tuple[str, Finished | BaseException]]:
         """Return what is back, at least one result; OSError if the processes of this machine are gone for good."""
         begin, empty = time.monotonic(), 0
         while True:
+            self._stop_late()
             try:
-                found = [self._back.get(timeout=_LOOK_S)]
+                found = [self._back.get(timeout=LOOK_S if self._limit_s is None else min(LOOK_S, self._limit_s / 10))]
                 break
             except queue.Empty:
                 if time.monotonic() - begin < PATIENCE_S:
@@ -340,19 +295,24 @@ class _Runs:
             if empty:
                 _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
                              len(self._out) + len(self._left) + len(self._alone))
-            if empty == _TRIES and isinstance(self._client.cluster, LocalCluster):
+            if empty == MOST_TRIES and isinstance(self._client.cluster, LocalCluster):
                 raise OSError(_GONE)
         while not self._back.empty():
             found.append(self._back.get())
         return found
 
     def _outcome(self, name: str, result: Finished | BaseException) -> tuple[Point, Finished] | None:
-        """Return the outcome of a run; None if it is tried again."""
-        run = self._out.pop(name)
+        """Return the outcome of a run; None if it is tried again, or was stopped."""
+        run = self._out.pop(name, None)
+        if run is None:
+            return None
         if isinstance(result, Finished):
             return run.point, result
         seconds = time.monotonic() - run.sent
         if isinstance(result, KilledWorker):
+            if result.last_worker is not None and result.last_worker.address in self._large:
+                return run.point, Finished(error="MemoryLimit: stopped as its process held more than its limit",
+                                           seconds=seconds, tries=run.tries)
             # dask itself starts a run again as often as the scheduler allows
             tries = run.tries + result.allowed_failures
             if run.tries >= MOST_TRIES:
@@ -361,136 +321,9 @@ class _Runs:
             (self._alone if tries + 1 >= MOST_TRIES else self._left).append((run.point, tries + 1))
             _log.warning("a worker died during %s: tried again", run.point)
             return None
-        if isinstance(result, asyncio.CancelledError | concurrent.futures.CancelledError):
+        if isinstance(result, concurrent.futures.CancelledError):
             raise OSError(f"scheduler: the connection to {self._client.scheduler.address} was lost; finished runs are "
                           "stored") from result
         if isinstance(result, UnfitWorker | ImportError | AttributeError):
             raise RuntimeError(f"a worker that joined cannot compute this study: {result}") from result
         return run.point, Finished(error=error_text(result), seconds=seconds, exception=result, tries=run.tries)
-
-
-# processes of this machine: spawned, of one thread each
-
-#: set before a worker imports anything: one thread everywhere
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
-                             "VECLIB_MAXIMUM_THREADS", "NGS_NUM_THREADS"), "1")
-_CONFIG = {
-    # the death of a worker is reported immediately, and the study counts the tries
-    "distributed.scheduler.allowed-failures": 0,
-    # a worker that waits because memory is short would wait for ever: runs hand nothing on
-    "distributed.worker.memory.target": False, "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False, "distributed.worker.memory.terminate": False,
-    # a busy machine may take longer than the usual 15 s to start a process again
-    "distributed.deploy.lost-worker-timeout": "1h",
-    "distributed.worker.multiprocessing-method": "spawn",
-    # no dashboard, no samples of the running code a hundred times a second
-    "distributed.worker.profile.enabled": False, "distributed.admin.system-monitor.interval": "5s",
-}
-
-
-def dask_setup(worker: object) -> None:
-    """Let the system end this process with its parent, even in compiled code that holds Python's lock. dask calls this
-    in each process of a local cluster."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
-
-
-@contextmanager
-def local_cluster(workers: int) -> Iterator[Client]:
-    """Start ``workers`` processes on this machine, and end them.
-
-    Yields the distributed.Client for :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies can share it.
-    """
-    count = checks.integer("workers", workers, minimum=1)
-    if multiprocessing.current_process().daemon:
-        raise RuntimeError("a process that computes runs cannot start workers: leave workers= out of a study inside a "
-                           "run")
-    # reports connections to processes that were ended
-    logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
-    with _scripts_not_run_again(), _environment_kept(), \
-            waiting_folder() as folder, \
-            dask.config.set(_CONFIG | {"temporary-directory": str(folder)}):
-        cluster = client = None
-        try:
-            with _interrupt_held_back():
-                try:
-                    cluster = LocalCluster(
-                        n_workers=count, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
-                        memory_limit=0, silence_logs=logging.CRITICAL, host="127.0.0.1", worker_dashboard_address=None,
-                        env=_ONE_THREAD, preload=[__name__])
-                except (RuntimeError, OSError) as error:
-                    raise OSError(f"workers: {count} processes could not be started ({error.__cause__ or error}): give "
-                                  "fewer workers, or free memory") from error
-                client = Client(cluster, set_as_default=False)
-            yield client
-        finally:
-            if cluster is not None:
-                _end(cluster, client)
-
-
-def _end(cluster: LocalCluster, client: Client | None) -> None:
-    """End all processes immediately, whatever they compute; a second Ctrl-C waits."""
-    with _interrupt_held_back():
-        for nanny in list(cluster.workers.values()):
-            # it does not start another process
-            nanny.close_gracefully()
-            if nanny.pid is not None:
-                with contextlib.suppress(psutil.Error):
-                    psutil.Process(nanny.pid).kill()
-        if client is not None:
-            with contextlib.suppress(Exception):
-                client.close(timeout=1)
-        with contextlib.suppress(Exception):
-            cluster.close(timeout=3)
-
-
-@contextmanager
-def _interrupt_held_back() -> Iterator[None]:
-    """Let Ctrl-C wait for the end of the block, where this is the main thread."""
-    held: list[int] = []
-    try:
-        before = signal.signal(signal.SIGINT, lambda number, frame: held.append(number))
-    except ValueError:
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-        if held:
-            signal.raise_signal(signal.SIGINT)
-
-
-@contextmanager
-def _environment_kept() -> Iterator[None]:
-    """dask sets variables for its processes in this one too; numba refuses a number of threads that changes."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    with dask.config.set({"distributed.nanny.pre-spawn-environ": _ONE_THREAD}):
-        try:
-            yield
-        finally:
-            for name, value in before.items():
-                if value is None:
-                    os.environ.pop(name, None)
-                else:
-                    os.environ[name] = value
-
-
-@contextmanager
-def _scripts_not_run_again() -> Iterator[None]:
-    """Spawned processes run the script of the user again, up to its ``if __name__ == "__main__"``; dask's need not. Run
-    functions are sent by value. Processes of others are not changed."""
-    prepare = multiprocessing.spawn.get_preparation_data
-
-    def prepared(name: str) -> dict[str, object]:
-        data = prepare(name)
-        if name.startswith("Dask Worker process"):
-            data.pop("init_main_from_name", None)
-            data.pop("init_main_from_path", None)
-        return data
-
-    multiprocessing.spawn.get_preparation_data = prepared
-    try:
-        yield
-    finally:
-        multiprocessing.spawn.get_preparation_data = prepare

@@ -16,17 +16,17 @@ import platform
 import subprocess
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
 from adaptmg._fingerprint import Fingerprint, environment, fingerprint
-from adaptmg._machine import peak_memory, reset_peak_memory
+from adaptmg._machine import peak_memory
 from adaptmg._text import printable
 from adaptmg.study.kept_files import Packed, pack
-from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, bounded, plain_results
+from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, WrongResults, bounded, plain_results
 
 Point = dict[str, Value]
 RunFunction = Callable[..., Mapping[str, object]]
@@ -40,7 +40,6 @@ class Task:
     fingerprint: Fingerprint
     depends: tuple[str, ...] = ()  # names that the fingerprint leaves out, see Study
     limit_s: float | None = None  # seconds after which a run is stopped
-    memory_limit: int | None = None  # bytes that the process of a run may hold
 
 
 @dataclass(frozen=True)
@@ -57,17 +56,24 @@ class Finished:
     started: str = ""
     machine: str = ""
     tries: int = 1
+    refused: bool = False  # what it returned is not what a study can store
 
 
-Execute = Callable[[Task, Sequence[Point]], Iterator[list[tuple[Point, Finished]]]]
+#: points are None while other processes compute those that are left
+Execute = Callable[[Task, Iterator[Point | None]], Iterator[list[tuple[Point, Finished]]]]
+#: seconds between two looks at what other processes compute
+LOOK_S = 0.5
 
 
-def in_turn(task: Task, points: Sequence[Point]) -> Iterator[list[tuple[Point, Finished]]]:
+def in_turn(task: Task, points: Iterator[Point | None]) -> Iterator[list[tuple[Point, Finished]]]:
     """Run after run, in this process."""
     if task.fingerprint.uses_adaptmg:
         warm()
     for point in points:
-        yield [(point, compute(task.function, point))]
+        if point is None:
+            time.sleep(LOOK_S)
+        else:
+            yield [(point, compute(task.function, point))]
 
 
 def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
@@ -85,7 +91,8 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
         if interruptible and isinstance(error, KeyboardInterrupt):
             raise
         seconds = time.perf_counter() - begin
-        outcome = Finished(error=error_text(error), traceback=_trace(error), exception=error)
+        outcome = Finished(error=error_text(error), traceback=_trace(error), exception=error,
+                           refused=isinstance(error, WrongResults))
     return replace(outcome, seconds=seconds, peak_memory=peak_memory(), started=started, machine=platform.node())
 
 

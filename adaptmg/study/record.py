@@ -72,21 +72,25 @@ def parameter_value(name: str, value: object) -> Value:
                     f"{checks.shown(value)}; pass a name or a number and build the object in the run function")
 
 
+class WrongResults(TypeError):
+    """A run function returns what cannot be stored."""
+
+
 def plain_results(results: object, parameters: Mapping[str, Value]) -> dict[str, Scalar]:
     """Return the results of a run function, checked: a flat mapping of names to numbers, strings, bools or None."""
     if not isinstance(results, Mapping):
-        raise TypeError(f"the run function must return a dict of numbers, strings and bools, got "
+        raise WrongResults(f"the run function must return a dict of numbers, strings and bools, got "
                         f"{checks.shown(results)}")
     plain = {}
     for name, value in results.items():
         if not isinstance(name, str):
-            raise TypeError(f"the names of results must be strings, got {checks.shown(name)}")
+            raise WrongResults(f"the names of results must be strings, got {checks.shown(name)}")
         if name in parameters or name in RESERVED:
             taken = "a parameter" if name in parameters else "a column of the study"
-            raise ValueError(f"result {name!r} has the name of {taken}: rename it (e.g. 'solver_{name}')")
+            raise WrongResults(f"result {name!r} has the name of {taken}: rename it (e.g. 'solver_{name}')")
         value = _scalar(value)
         if value is not None and type(value) not in (bool, int, float, str):
-            raise TypeError(f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "
+            raise WrongResults(f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "
                             "reduce arrays to numbers, or return a numpy array, which is kept as a file")
         plain[name] = value
     length = len(json.dumps(plain))

@@ -5,15 +5,18 @@ a half-written one does not exist. (Its write-ahead log does not work on the net
 processes may write to one store.
 
 Table ``runs`` has a row a run. ``origins`` has the parts of each fingerprint, so that a study can say why a row is
-stale.
+stale. ``claims`` has the runs that are being computed, each with the process that does.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import platform
 import sqlite3
 import threading
+import time
+import uuid
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -43,6 +46,9 @@ _TABLES = (
     "commit_id TEXT NOT NULL, tries INTEGER NOT NULL, files TEXT NOT NULL, PRIMARY KEY (study, parameters))",
     "CREATE TABLE origins (code TEXT PRIMARY KEY, parts TEXT NOT NULL)",
     f"PRAGMA user_version = {_FORMAT}")
+_CLAIMS = "CREATE TABLE IF NOT EXISTS claims (study TEXT, parameters TEXT, owner TEXT, PRIMARY KEY (study, parameters))"
+#: seconds after which the claim of a process on another machine, which may have died, is taken over
+_LEASE_S = 86400.0
 _PUT = f"INSERT OR REPLACE INTO runs (study, {_NAMES}) VALUES ({', '.join('?' * (len(_COLUMNS) + 1))})"
 #: seconds to wait for another process that writes
 _PATIENCE_S = 60.0
@@ -145,10 +151,33 @@ class Store:
             self._write(rows, origins)
             raise
 
+    def claim(self, study: str, key: str, owner: str) -> bool:
+        """Claim a run, in one transaction; False if a process that may live has claimed it."""
+        with self._explained():
+            self._check_there()
+            with self._connection as connection:
+                connection.execute("BEGIN IMMEDIATE")
+                connection.execute(_CLAIMS)
+                held = connection.execute("SELECT owner FROM claims WHERE study = ? AND parameters = ?",
+                                          (study, key)).fetchone()
+                if held is not None and _may_live(held[0]):
+                    return False
+                connection.execute("INSERT OR REPLACE INTO claims VALUES (?, ?, ?)", (study, key, owner))
+        return True
+
+    def release(self, owner: str, key: str = "%") -> None:
+        """Give up the claims of an owner, or that on one run."""
+        with self._explained(), self._connection as connection:
+            connection.execute(_CLAIMS)
+            connection.execute("DELETE FROM claims WHERE owner = ? AND ? IN (parameters, '%')", (owner, key))
+
     def _write(self, rows: Sequence[tuple[Cell, ...]], origins: Sequence[tuple[str, str]]) -> None:
         with self._explained():
             self._check_there()
             with self._connection as connection:
+                connection.execute(_CLAIMS)
+                connection.executemany("DELETE FROM claims WHERE study = ? AND parameters = ?",
+                                       [row[:2] for row in rows])
                 connection.executemany(_PUT, rows)
                 connection.executemany("INSERT OR IGNORE INTO origins VALUES (?, ?)", origins)
 
@@ -163,6 +192,11 @@ class Store:
         # the index has the rows in another order
         rows = self._select(f"SELECT {_NAMES} FROM runs NOT INDEXED WHERE study = ? ORDER BY rowid", study)
         return [self._record(study, row) for row in rows]
+
+    def one(self, study: str, key: str) -> Record | None:
+        """Return the run of a study with these canonical parameters, if it is stored."""
+        rows = self._select(f"SELECT {_NAMES} FROM runs WHERE study = ? AND parameters = ?", study, key)
+        return self._record(study, rows[0]) if rows else None
 
     def _record(self, study: str, row: Sequence[Cell]) -> Record:
         try:
@@ -192,6 +226,26 @@ class Store:
     def _select(self, query: str, *values: str) -> list:
         with self._explained():
             return self._connection.execute(query, values).fetchall()
+
+
+def new_owner() -> str:
+    """Return the name of this process, and of one study in it, for claims."""
+    import psutil
+
+    return json.dumps([platform.node(), os.getpid(), psutil.Process().create_time(), time.time(), uuid.uuid4().hex])
+
+
+def _may_live(owner: str) -> bool:
+    """Whether the process of a claim may still compute."""
+    import psutil
+
+    try:
+        machine, process, created, claimed, _ = json.loads(owner)
+        if machine != platform.node():
+            return time.time() - claimed < _LEASE_S
+        return abs(psutil.Process(process).create_time() - created) < 1.0
+    except (psutil.Error, *_DAMAGE):
+        return False
 
 
 def _row(record: Record) -> tuple[Cell, ...]:

@@ -9,6 +9,7 @@ import math
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timedelta
@@ -33,7 +34,7 @@ from adaptmg.study.record import (
     parameter_value,
     reasons,
 )
-from adaptmg.study.store import Store
+from adaptmg.study.store import Store, new_owner
 
 if TYPE_CHECKING:
     import numpy as np
@@ -48,22 +49,24 @@ if TYPE_CHECKING:
 _log = logging.getLogger("adaptmg.study")
 Cost = Callable[[Point], float] | str
 Progress = bool | Callable[["Watch"], None] | None
-#: parts of fingerprints after the runs of this process, with the parts before them
-_LEFT: dict[tuple[str, str], str] = {}
-#: parts of the content of files: a change while runs go on is not caused by the runs
-_OF_FILES = ("depends ", "package ", "adaptmg")
+#: seconds between two lines about a study that runs where no terminal shows a bar
+_EVERY_S = 60.0
 
 
 class Study:
     """A parameter sweep.
 
     Each run is stored when it ends. A study that is run again computes only points that are missing, that failed, and
-    that are stale (:meth:`status` says why). A row is stale when one of these changed: the compiled code of a function
-    or class of the user's modules that the run function reaches; a value that it reads (globals, closures, defaults,
-    attributes); a name of a module that it imports inside or passes on; the numerical sources of adaptmg; the version
-    of a package. Comments and docstrings of functions do not count. Not seen are data files, the environment, time, the
-    state of libraries, packages edited at run time, modules imported under a name made at run time, annotations, and
-    what an object leaves out of its pickle: ``depends`` can name these.
+    that are stale (:meth:`status` says why). A row is stale when one of these changed: the instructions of a
+    function or class of the user's modules that the run function reaches; a value that it reads (globals, closures,
+    defaults, attributes); a name of a module that it imports inside or passes on; the numerical sources of adaptmg; the
+    version of a package. Comments and docstrings do not count. What cannot be compared (locks, generators, ``eval``,
+    docstrings that are read) is refused: ``depends`` names what stands for it. Not seen are data files, the
+    environment, time, the state of libraries, packages edited at run time, and classes registered with an ABC:
+    ``depends`` can name these, too. A run must not change what it reads: a UserWarning names the value.
+
+    Several processes may run a study on one store: each claims a point before it computes it. Claims of processes that
+    ended are taken over (of another machine after a day).
 
     Runs share nothing. Where only law, loads or material vary, ``grids.with_problem(problem)`` on grids that are made
     once saves meshes and transfers (:meth:`adaptmg.Hierarchy.with_problem`).
@@ -140,9 +143,9 @@ class Study:
         Parameters
         ----------
         progress : bool or callable, optional
-            Show a progress bar on standard error; default: only on a terminal. Without one each run is a line of the
-            log (``adaptmg.study``, INFO). A function is called after each run with an object that has ``name``,
-            ``total``, ``done``, ``failed`` and ``words()``.
+            Show a progress bar on standard error; default: a bar on a terminal, elsewhere a line a minute. Without a
+            bar each run is a line of the log (``adaptmg.study``, INFO). A function is called after each run with an
+            object that has ``name``, ``total``, ``done``, ``failed`` and ``words()``.
         workers : int, optional
             Processes on this machine that compute runs, one thread each (dask.distributed). Default: this process.
         scheduler : str, distributed.Client or cluster, optional
@@ -156,7 +159,8 @@ class Study:
         limit_s : float, optional
             Seconds after which a run is stopped and recorded as failed. Needs workers.
         memory_limit : float, optional
-            Bytes that the process of a run may hold until it is stopped and recorded as failed. Needs workers.
+            Bytes that the process of a run may hold until it is stopped and recorded as failed. Needs ``workers``; the
+            workers of a cluster have their own (``dask worker --memory-limit``).
         cost : callable or str, optional
             Long runs first: a function of a point that grows with the time its run takes, the name of a parameter that
             does, or of a result or ``"seconds"`` of an earlier call.
@@ -165,12 +169,15 @@ class Study:
             raise TypeError(f"progress must be True, False, None or a function, got {checks.shown(progress)}")
         if workers is not None and scheduler is not None:
             raise ValueError("give workers (processes of this machine) or scheduler (a cluster), not both")
-        limits = {"limit_s": None if limit_s is None else checks.positive("limit_s", limit_s),
-                  "memory_limit": None if memory_limit is None else int(checks.positive("memory_limit", memory_limit))}
-        if workers is None and scheduler is None and any(value is not None for value in limits.values()):
-            raise ValueError("limit_s and memory_limit need workers=1 or more: a run in this process cannot be stopped")
+        limit_s = None if limit_s is None else checks.positive("limit_s", limit_s)
+        memory = None if memory_limit is None else int(checks.positive("memory_limit", memory_limit))
+        if workers is None and (memory is not None or (limit_s is not None and scheduler is None)):
+            raise ValueError("limit_s and memory_limit need workers=1 or more: runs in this process cannot be stopped, "
+                             "and workers of a cluster have their own limit (dask worker --memory-limit)")
         if workers is not None:
             checks.integer("workers", workers, minimum=1)
+        for name, flag in (("rerun", rerun), ("retry_failed", retry_failed), ("throw", throw)):
+            checks.flag(name, flag)
         found, versions, stored = self._fingerprint(), environment(), self._store.get(self.name)
         points = self.points()
         todo = [point for point in points
@@ -179,9 +186,13 @@ class Study:
         todo = in_order(todo, cost, stored)
         _log.info("study %s: %d of %d runs to compute", self.name, len(todo), len(points))
         if todo:
-            task = Task(self._function, found, tuple(self._depends), **limits)
-            with _executor(workers, scheduler, len(todo)) as execute:
-                self._compute(execute, task, todo, len(points), progress, throw, found, versions, stored)
+            task, owner = Task(self._function, found, tuple(self._depends), limit_s), new_owner()
+            try:
+                with _executor(workers, scheduler, len(todo), memory) as execute:
+                    self._compute(execute, task, todo, len(points), progress, throw, found, versions, stored, owner)
+            finally:
+                with contextlib.suppress(OSError, ValueError):  # of a store that has gone, say: what is raised says so
+                    self._store.release(owner)
         return self._table(found, versions, False)
 
     def table(self, details: bool = False) -> pd.DataFrame:
@@ -232,12 +243,14 @@ class Study:
         return self._files.read(record.files[name])
 
     def _compute(self, execute: Execute, task: Task, todo: list[Point], total: int, bar: Progress, throw: bool,
-                 found: Fingerprint, versions: dict[str, str], stored: Mapping[str, Record]) -> None:
+                 found: Fingerprint, versions: dict[str, str], stored: Mapping[str, Record], owner: str) -> None:
         """Compute runs, and store each when it ends."""
-        runs = execute(task, todo)
+        runs = execute(task, self._claimed(todo, stored, owner))
         try:
             with _watched(self.name, total, total - len(todo), lambda: getattr(execute, "running", 1), bar) as watch:
-                for batch in runs:
+                for number, batch in enumerate(runs):
+                    for refused in (outcome for _, outcome in batch if outcome.refused and not number):
+                        raise ValueError(f"the run function of study {self.name} cannot be used: {refused.error}")
                     records = [self._record(point, outcome, found, versions) for point, outcome in batch]
                     self._store.put_all(self.name, records, found.parts)
                     for (point, outcome), record in zip(batch, records, strict=True):
@@ -248,7 +261,25 @@ class Study:
                             raise outcome.exception or RuntimeError(outcome.error)
         finally:
             runs.close()
-            self._learn(found)
+            self._warn_of_changes(found)
+
+    def _claimed(self, todo: Sequence[Point], stored: Mapping[str, Record], owner: str) -> Iterator[Point | None]:
+        """Yield the points that this process claims, None while others compute the rest. What another has stored
+        meanwhile is left out."""
+        left = list(todo)
+        while left:
+            held = []
+            for point in left:
+                key = canonical(point)
+                if not self._store.claim(self.name, key, owner):
+                    held.append(point)
+                elif self._store.one(self.name, key) == stored.get(key):
+                    yield point
+                else:
+                    self._store.release(owner, key)
+            if len(held) == len(left):
+                yield None
+            left = held
 
     def _record(self, point: Point, outcome: Finished, found: Fingerprint, versions: dict[str, str]) -> Record:
         files = self._files.write(self.name, canonical(point), outcome.packed)
@@ -258,15 +289,16 @@ class Study:
                       peak_memory=outcome.peak_memory, tries=outcome.tries, commit=commit(), files=files)
 
     def _fingerprint(self) -> Fingerprint:
-        found = fingerprint(self._function, self._depends)
-        return Fingerprint({name: _LEFT.get((name, value), value) for name, value in found.parts.items()})
+        return fingerprint(self._function, self._depends)
 
-    def _learn(self, before: Fingerprint) -> None:
-        """Remember values that changed while runs went on in this process: lists they wrote to, caches."""
+    def _warn_of_changes(self, before: Fingerprint) -> None:
+        """Warn of values that changed while runs went on in this process: rows depend on the order of the runs."""
         with contextlib.suppress(TypeError):
-            after = fingerprint(self._function, self._depends).parts
-            _LEFT.update({(name, after[name]): value for name, value in before.parts.items()
-                          if name in after and after[name] != value and not name.startswith(_OF_FILES)})
+            changes = [text for text in self._fingerprint().differences(before.parts) if text.startswith("value of ")]
+            if changes:
+                warnings.warn(f"study {self.name}: {', '.join(changes)} while the runs went on, so that their rows are "
+                              "stale: a run must not change what it reads; if the results do not depend on it (a "
+                              "cache), name it in depends", UserWarning, stacklevel=4)
 
     def _state(self, record: Record | None, found: Fingerprint, versions: Mapping[str, str]) -> str:
         if record is None:
@@ -282,13 +314,13 @@ class Study:
         return table
 
 
-def _executor(workers: int | None, scheduler: str | Client | Cluster | None, runs: int
+def _executor(workers: int | None, scheduler: str | Client | Cluster | None, runs: int, memory_limit: int | None
               ) -> contextlib.AbstractContextManager[Execute]:
     if workers is None and scheduler is None:
         return contextlib.nullcontext(in_turn)
     from adaptmg.study.cluster import opened
 
-    return opened(workers, scheduler, runs)
+    return opened(workers, scheduler, runs, memory_limit)
 
 
 def _check_run_function(run: RunFunction) -> None:
@@ -342,7 +374,8 @@ class Watch:
                  show: Callable[[Watch], None] | None = None) -> None:
         self.name, self.total, self.done, self.failed = name, total, before, 0
         self._before, self._running, self._show = before, running, show
-        self._begin = time.monotonic()
+        self.lines = False  # whether a line a minute is written on standard error
+        self._begin = self._last = time.monotonic()
 
     def finished(self, point: Point, outcome: Finished) -> None:
         """Count a run and report it; ``point`` has the parameters that vary."""
@@ -350,6 +383,9 @@ class Watch:
         self.failed += bool(outcome.error)
         if self._show is not None:
             self._show(self)
+        if self.lines and time.monotonic() - self._last >= _EVERY_S:
+            self._last = time.monotonic()
+            sys.stderr.write(f"study {self.name}: {self.done} of {self.total} runs, {self.words()}\n")
         given = ", ".join(f"{name}={value!r}" for name, value in point.items())
         head = f"study {self.name}: [{self.done}/{self.total}] {given}"
         if outcome.error:
@@ -376,7 +412,9 @@ def _watched(name: str, total: int, before: int, running: Callable[[], int],
     function as ``bar`` is called after each run instead."""
     # without a console (pythonw, a service) Python has no standard error
     if callable(bar) or sys.stderr is None or not (sys.stderr.isatty() if bar is None else bar):
-        yield Watch(name, total, before, running, bar if callable(bar) else None)
+        watch = Watch(name, total, before, running, bar if callable(bar) else None)
+        watch.lines = bar is None and sys.stderr is not None
+        yield watch
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn

@@ -1,15 +1,18 @@
 """Studies on workers: the same rows as in one process, whatever happens to the workers."""
 
-import asyncio
 import contextlib
 import ctypes
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
+import urllib.error
+import urllib.request
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -106,7 +109,7 @@ def test_runs_over_their_limits_are_stopped(cluster):
 
     timed = Study(run, {"what": ["short", "locked"]}).run(progress=False, scheduler=cluster, limit_s=4)
     assert timed["error"].tolist() == ["", "TimeLimit: stopped after limit_s=4 s"] and timed["m"][0] == 1
-    held = Study(run, {"what": ["short", "large"]}).run(progress=False, scheduler=cluster, memory_limit=1e9)
+    held = Study(run, {"what": ["short", "large"]}).run(progress=False, workers=1, memory_limit=1e9)
     assert held["status"].tolist() == ["done", "failed"] and held["error"][1].startswith("MemoryLimit")
 
 
@@ -131,10 +134,10 @@ def test_what_a_worker_lacks_and_another_adaptmg_are_told_at_once(cluster, tmp_p
     monkeypatch.syspath_prepend(tmp_path)
     import only_here
 
-    with pytest.raises(RuntimeError, match=r"worker tcp.*no module 'only_here'"):
+    with pytest.raises(RuntimeError, match=r"worker tls.*no module 'only_here'"):
         Study(only_here.run, {"n": [1]}).run(progress=False, scheduler=cluster)
     monkeypatch.setattr(executor, "identity", lambda: {"numpy": "1.0"})
-    with pytest.raises(RuntimeError, match=r"worker tcp.*numpy .* instead of 1\.0"):
+    with pytest.raises(RuntimeError, match=r"worker tls.*numpy .* instead of 1\.0"):
         Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=cluster)
 
 
@@ -148,7 +151,7 @@ def test_a_value_that_was_set_in_a_module_does_not_reach_workers_in_silence(clus
         return {"m": settings.SETTING * n, "text": tables.as_text.__name__}
 
     # this module goes by name, and there the value is another one
-    with pytest.raises(RuntimeError, match=r"worker tcp.*value of test_cluster.SETTING is changed.*as parameters"):
+    with pytest.raises(RuntimeError, match=r"worker tls.*value of test_cluster.SETTING is changed.*as parameters"):
         Study(run, {"n": [1]}).run(progress=False, scheduler=cluster)
     monkeypatch.setattr(settings, "SETTING", 1)
     study = Study(run, {"n": [1]})
@@ -348,44 +351,58 @@ def test_a_worker_that_leaves_during_the_check_is_not_unfit(caplog):
         executor.check_workers(client, None, limited=False)
 
 
-class _Processes:
-    """Stands for dask's cluster, which fails to start, or starts while Ctrl-C arrives."""
-
-    def __init__(self, fails, signals):
-        self.fails, self.signals, self.workers, self.closed = fails, signals, {}, []
-
-    def __call__(self, **options):
-        if self.signals:
-            signal.raise_signal(signal.SIGINT)
-        if self.fails:
-            raise RuntimeError("Nanny failed to start.")
-        return self
-
-    def close(self, timeout=None):
-        self.closed.append(timeout)
+def test_processes_that_cannot_be_started_and_ctrl_c_leave_nothing(monkeypatch):
+    before = {child.pid for child in psutil.Process().children(recursive=True)}
+    monkeypatch.setattr(sys, "executable", shutil.which("false"))
+    with pytest.raises(OSError, match=r"2 processes could not be started .*fewer workers"), local_cluster(2):
+        pass
+    monkeypatch.undo()
+    with pytest.raises(KeyboardInterrupt), local_cluster(1):
+        raise KeyboardInterrupt
+    assert {child.pid for child in psutil.Process().children(recursive=True)} <= before
 
 
-@pytest.mark.parametrize("fails", [False, True])
-@pytest.mark.parametrize("signals", [False, True])
-def test_a_start_that_fails_or_is_interrupted_leaves_nothing(fails, signals, monkeypatch):
-    started, heard = _Processes(fails, signals), signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(executor, "LocalCluster", started)
-    monkeypatch.setattr(executor, "Client", lambda *_, **__: SimpleNamespace(close=lambda timeout: None))
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # in a shell's background it comes ignored
-    try:
-        with pytest.raises(KeyboardInterrupt) if signals else pytest.raises(OSError, match="fewer workers") if fails \
-                else contextlib.nullcontext(), local_cluster(2):
-            assert not signals and not started.closed
-    finally:
-        signal.signal(signal.SIGINT, heard)
-    assert bool(started.closed) == (not fails)
+def test_workers_that_are_killed_while_they_start_are_started_again():
+    killed = []
+
+    def kill():
+        while len(killed) < 2 and not ended.is_set():
+            for child in psutil.Process().children(recursive=True):
+                with contextlib.suppress(psutil.Error):
+                    if child.pid not in known and "spawn_main" in " ".join(child.cmdline()):
+                        child.kill()
+                        killed.append(child.pid)
+                        known.add(child.pid)
+                        break
+            time.sleep(0.01)
+
+    known, ended = {child.pid for child in psutil.Process().children(recursive=True)}, threading.Event()
+    thread = threading.Thread(target=kill)
+    thread.start()
+    table = Study(lambda n: {"m": n}, {"n": range(4)}).run(progress=False, workers=2)
+    ended.set()
+    thread.join()
+    assert len(killed) == 2 and (table["status"] == "done").all()
+
+
+def test_others_cannot_compute_in_the_processes(cluster):
+    address = cluster.scheduler.address
+    assert address.startswith("tls://")
+    port = cluster.run_on_scheduler(lambda dask_scheduler: dask_scheduler.http_server.port)
+    for page in ("", "status", "health", "metrics", "info/main/workers.html", "json/counts.json"):
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}")
+    workers = [worker["nanny"] for worker in cluster.scheduler_info(n_workers=-1)["workers"].values()]
+    for other, security in ((address, distributed.Security.temporary()), (address.replace("tls", "tcp"), None),
+                            (workers[0].replace("tls", "tcp"), None)):
+        with pytest.raises((OSError, TimeoutError)):
+            distributed.Client(other, security=security, set_as_default=False, timeout=1)
 
 
 def _runs(**given):
     runs = object.__new__(executor._Runs)
-    vars(runs).update({"_died": False, "_allowed": 0, "_limited": False, "_out": {}, "_left": executor.deque(),
-                       "_alone": executor.deque(), "_recent": executor.deque([1e-3] * 8, maxlen=8),
-                       "_back": executor.queue.SimpleQueue()} | given)
+    vars(runs).update({"_out": {}, "_left": executor.deque(), "_alone": executor.deque(), "_limit_s": None,
+                       "_large": set(), "_back": executor.queue.SimpleQueue()} | given)
     return runs
 
 
@@ -393,7 +410,7 @@ def _runs(**given):
 def test_the_death_of_a_worker_is_not_a_time_limit(since):
     """Whenever it is reported: only a run that this process stopped is over its limit."""
     run = executor._Run({"n": 6}, 1, time.monotonic() - since, None)
-    runs = _runs(_limit_s=3.0, _limited=True, _out={"run": run})
+    runs = _runs(_limit_s=3.0, _out={"run": run})
     assert runs._outcome("run", executor.KilledWorker("run", None, 0)) is None
     assert list(runs._left) == [({"n": 6}, 2)]
 
@@ -403,7 +420,7 @@ def test_a_study_waits_for_a_queue_but_not_for_processes_that_do_not_come_back(l
     from distributed.core import Status
 
     monkeypatch.setattr(executor, "PATIENCE_S", 0.02)
-    monkeypatch.setattr(executor, "_LOOK_S", 0.01)
+    monkeypatch.setattr(executor, "LOOK_S", 0.01)
     looks = iter(range(20))
 
     def looked(look):
@@ -426,14 +443,15 @@ def test_a_study_waits_for_a_queue_but_not_for_processes_that_do_not_come_back(l
 
 @pytest.mark.parametrize("there", [True, False], ids=["it computes", "its worker died"])
 def test_a_clock_that_runs_out_stops_only_a_run_that_its_worker_computes(there):
-    async def processing():
-        return {"tcp://a": ("r-1",) if there else ()}
+    client = SimpleNamespace(processing=lambda: {"tcp://a": ("r-1",) if there else ()},
+                             cancel=lambda *a, **k: None, run=lambda *a, **k: None)
+    run = executor._Run({"n": 6}, 1, 0.0, SimpleNamespace(done=lambda: False), worker="tcp://a", began=0.0)
+    runs = _runs(_client=client, _out={"r-1": run}, _limit_s=1.0)
+    runs._stop_late()
+    assert runs._back.empty() is not there
 
-    async def ignored(*args, **kwargs):
-        return None
 
-    client = SimpleNamespace(scheduler=SimpleNamespace(processing=processing), _cancel=ignored, _run=ignored)
-    run = executor._Run({"n": 6}, 1, 0.0, SimpleNamespace(done=lambda: False), worker="tcp://a")
-    runs = _runs(_client=client, _out={"r-1": run})
-    asyncio.run(runs._stop("r-1", "TimeLimit"))
-    assert run.stopped is there and runs._back.empty() is not there
+def test_a_run_whose_worker_held_too_much_is_not_tried_again():
+    runs = _runs(_large={"tls://a"}, _out={"run": executor._Run({"n": 6}, 1, 0.0, None)})
+    killed = executor.KilledWorker("run", SimpleNamespace(address="tls://a"), 0)
+    assert runs._outcome("run", killed)[1].error.startswith("MemoryLimit")

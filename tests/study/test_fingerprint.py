@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from adaptmg.study.record import Record
 
 FACTOR, TABLE, ARRAY = 2, {"a": [1, 2.0]}, np.arange(4.0)
 LOCK, GENERATOR = threading.Lock(), np.random.default_rng(0)
-LEFT: list[int] = []
 
 
 def uses_factor(n):
@@ -176,19 +176,29 @@ def test_files_can_be_named_as_what_a_run_depends_on(tmp_path):
     assert len(seen) == 2 and fingerprint(uses_factor).code not in seen
 
 
-def leaves(n):
-    LEFT.append(n)
-    return {"m": n}
+def test_contents_of_files_count_wherever_depends_names_them(tmp_path):
+    file, seen = tmp_path / "mesh.txt", set()
+    for text in ("a", "b", "a"):
+        file.write_text(text, encoding="utf-8")
+        seen.add(fingerprint(uses_factor, {"data": [{"mesh": file}]}).code)
+    assert len(seen) == 2
+    for path in (Path("/dev/zero"), tmp_path, tmp_path / "none"):
+        with pytest.raises(ValueError, match="must be a file"):
+            fingerprint(uses_factor, {"data": path})
 
 
-def test_what_runs_leave_behind_does_not_make_their_rows_stale(tmp_path):
-    LEFT.clear()
-    for _ in range(2):
-        assert Study(leaves, {"n": [1, 2]}, tmp_path / "s.sqlite").run(progress=False)["status"].tolist() \
-            == ["done", "done"]
-    assert LEFT == [1, 2]
-    LEFT[:] = [7]
-    assert Study(leaves, {"n": [1, 2]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["stale", "stale"]
+def test_a_run_that_sets_a_global_does_not_store_under_its_value_before(tmp_path):
+    def run(n):
+        global FACTOR
+        FACTOR = n
+        return {"m": FACTOR}
+
+    before = FACTOR
+    with pytest.warns(UserWarning, match="FACTOR is changed"):
+        Study(run, {"n": [7]}, tmp_path / "s.sqlite").run(progress=False)
+    assert Study(run, {"n": [7]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["stale"]
+    globals()["FACTOR"] = before
+    assert Study(run, {"n": [7]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["done"]
 
 
 def test_deep_calls_and_circles_are_walked():

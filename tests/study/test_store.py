@@ -10,6 +10,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 
@@ -22,7 +23,7 @@ from adaptmg.study import Study, kept_files
 from adaptmg.study import store as study_store
 from adaptmg.study.kept_files import pack
 from adaptmg.study.record import Record, bounded, canonical
-from adaptmg.study.store import Store
+from adaptmg.study.store import Store, new_owner
 
 
 def squares(n):
@@ -129,7 +130,7 @@ def test_a_row_whose_writing_was_interrupted_is_written_in_the_end(tmp_path, mon
     check = study._store._check_there
 
     def interrupted():
-        if next(turns) == 2:
+        if next(turns) == 5:  # claimed and written in turn
             raise KeyboardInterrupt
         check()
 
@@ -137,6 +138,43 @@ def test_a_row_whose_writing_was_interrupted_is_written_in_the_end(tmp_path, mon
     with pytest.raises(KeyboardInterrupt):
         study.run(progress=False)
     assert [record.parameters["n"] for record in Store(tmp_path / "s.sqlite").get("squares").values()] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("rerun", [False, True])
+def test_those_who_share_a_store_compute_each_point_once(tmp_path, rerun):
+    done = []
+
+    def run(n):
+        done.append(n)
+        time.sleep(0.05)
+        return {"m": n}
+
+    def study():
+        return Study(run, {"n": range(8)}, tmp_path / "s.sqlite", depends={"done": None})
+
+    if rerun:
+        study().run(progress=False)
+        done.clear()
+    with ThreadPoolExecutor(3) as pool:
+        tables = list(pool.map(lambda one: one.run(progress=False, rerun=rerun), [study() for _ in range(3)]))
+    assert sorted(done) == list(range(8))
+    assert all(table["m"].tolist() == list(range(8)) for table in tables)
+
+
+def test_claims_of_processes_that_live_hold_and_those_of_dead_ones_do_not(tmp_path):
+    store, key = Store(tmp_path / "s.sqlite"), canonical({"n": 1})
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    here = new_owner()
+    machine, _, created, claimed, number = json.loads(here)
+    owners = {json.dumps(owner): lives for owner, lives in (
+        ([machine, ended.pid, created, claimed, number], False), ([machine, os.getpid(), 5.0, claimed, number], False),
+        (["other", 1, 5.0, claimed, number], True), (["other", 1, 5.0, claimed - 1e5, number], False), ("x", False))}
+    for owner, lives in (owners | {here: True}).items():
+        assert store.claim("s", key, owner)
+        assert store.claim("s", key, here) is not lives and store.claim("s", canonical({"n": 2}), here)
+        store.release(owner)
+        store.release(here)
 
 
 def test_texts_and_results_are_bounded_and_any_text_is_stored(tmp_path):

@@ -36,8 +36,13 @@ def another(sweeps, friction=0.3):
     return {"work": 0.0}
 
 
+def sweep(*given, **options):
+    """A study whose runs say that they ran."""
+    return Study(*given, depends={"CALLS": None}, **options)
+
+
 def test_rows_come_in_grid_order_with_plain_results():
-    table = Study(case, {"sweeps": [2, 1], "friction": np.array([0.5, 1.0])}).run(progress=False)
+    table = sweep(case, {"sweeps": [2, 1], "friction": np.array([0.5, 1.0])}).run(progress=False)
     assert list(zip(table["sweeps"], table["friction"], strict=True)) == [(2, 0.5), (2, 1.0), (1, 0.5), (1, 1.0)]
     assert table["work"].tolist() == [1.0, 2.0, 0.5, 1.0]
     assert table["cycles"].tolist() == [8, 8, 9, 9]
@@ -47,15 +52,15 @@ def test_rows_come_in_grid_order_with_plain_results():
 
 def test_a_failed_run_is_a_row_and_is_tried_again(tmp_path):
     path = tmp_path / "deep" / "store.sqlite"
-    table = Study(case, GRID, path).run(progress=False)
+    table = sweep(case, GRID, path).run(progress=False)
     assert table["status"].tolist() == ["done"] * 4 + ["failed"] * 2
     assert table["error"].tolist()[-1] == "RuntimeError: three is too many" and np.isnan(table["work"].iloc[-1])
     CALLS.clear()
-    pd.testing.assert_frame_equal(Study(case, GRID, path).run(progress=False).iloc[:4], table.iloc[:4])
+    pd.testing.assert_frame_equal(sweep(case, GRID, path).run(progress=False).iloc[:4], table.iloc[:4])
     assert [c["sweeps"] for c in CALLS] == [3, 3]
-    Study(case, GRID, path).run(progress=False, retry_failed=False)
+    sweep(case, GRID, path).run(progress=False, retry_failed=False)
     assert len(CALLS) == 2
-    Study(case, GRID, path).run(progress=False, rerun=True)
+    sweep(case, GRID, path).run(progress=False, rerun=True)
     assert len(CALLS) == 8
 
 
@@ -66,17 +71,17 @@ def test_rows_before_an_end_are_stored(tmp_path, how):
             raise KeyboardInterrupt if how == "interrupt" else RuntimeError("two")
         return {"m": n}
 
-    sweep = Study(run, {"n": range(4)}, tmp_path / "s.sqlite")
+    study = Study(run, {"n": range(4)}, tmp_path / "s.sqlite")
     with pytest.raises(KeyboardInterrupt if how == "interrupt" else RuntimeError):
-        sweep.run(progress=False, throw=True)
+        study.run(progress=False, throw=True)
     ended = "missing" if how == "interrupt" else "failed"
-    assert sweep.table()["status"].tolist() == ["done", "done", ended, "missing"]
+    assert study.table()["status"].tolist() == ["done", "done", ended, "missing"]
 
 
 def test_a_changed_function_or_version_makes_rows_stale(tmp_path, monkeypatch):
     path = tmp_path / "s.sqlite"
-    Study(case, {"sweeps": [1, 2]}, path, name="one").run(progress=False)
-    changed = Study(another, {"sweeps": [1, 2]}, path, name="one")
+    sweep(case, {"sweeps": [1, 2]}, path, name="one").run(progress=False)
+    changed = sweep(another, {"sweeps": [1, 2]}, path, name="one")
     assert changed.table()["status"].tolist() == ["stale", "stale"]
     assert changed.run(progress=False)["work"].tolist() == [0.0, 0.0]
     assert changed.table()["status"].tolist() == ["done", "done"]
@@ -102,10 +107,10 @@ def test_a_file_that_another_process_changes_is_not_taken_for_one_that_runs_chan
 def test_a_store_holds_several_studies_and_fixed_parameters_count(tmp_path):
     path = tmp_path / "s.sqlite"
     for friction in (0.5, 1.0):
-        table = Study(case, {"sweeps": [1, 2]}, path, fixed={"friction": friction}).run(progress=False)
+        table = sweep(case, {"sweeps": [1, 2]}, path, fixed={"friction": friction}).run(progress=False)
         assert table["work"].tolist() == [friction, 2 * friction]
         assert table.attrs == {"study": "case", "fixed": {"friction": friction}}
-    Study(another, {"sweeps": [1]}, path).run(progress=False)
+    sweep(another, {"sweeps": [1]}, path).run(progress=False)
     assert len(CALLS) == 5
     assert Store(path).studies() == ["another", "case"] and len(Store(path).get("case")) == 4
 
@@ -151,10 +156,45 @@ def test_a_wrong_study_is_refused_before_anything_runs(run, parameters, fixed, e
 
 @pytest.mark.parametrize(("returned", "match"), [
     (3.0, "must return a dict"), ({"n": 1}, "a parameter"), ({"status": "CONVERGED"}, "solver_status"),
+    ({"a": [1]}, "must be a number"), ({1: 1}, "must be strings")])
+def test_results_that_no_run_can_store_are_refused_at_the_first_run(tmp_path, returned, match):
+    done = []
+
+    def run(n):
+        done.append(n)
+        return {"m": n} if n == 2 else returned
+
+    study = Study(run, {"n": [1, 2, 3]}, tmp_path / "s.sqlite", depends={"done": None, "returned": None})
+    with pytest.raises(ValueError, match=f"cannot be used.*{match}"):
+        study.run(progress=False)
+    assert done == [1] and study.status().missing == 3
+    # later ones are failures, as one run must not end the others
+    study = Study(run, {"n": [2, 3]}, depends={"done": None, "returned": None})
+    assert study.run(progress=False)["status"].tolist() == ["done", "failed"]
+
+
+@pytest.mark.parametrize(("returned", "match"), [
     ({"r": 10**5000}, "ValueError"), ({"a": np.ma.array([1, 2], mask=[False, True])}, "mask would be lost")])
 def test_results_that_cannot_be_stored_are_failures(returned, match):
     table = Study(lambda n: returned, {"n": [1]}, depends={"returned": None}).run(progress=False)
     assert table["status"].tolist() == ["failed"] and match in table["error"].iloc[0]
+
+
+@pytest.mark.parametrize("name", ["rerun", "retry_failed", "throw"])
+def test_options_that_are_true_or_false_are_booleans(name):
+    with pytest.raises(TypeError, match=f"{name} must be True or False"):
+        sweep(case, {"sweeps": [1]}).run(progress=False, **{name: "no"})
+
+
+def test_a_run_that_changes_what_it_reads_is_named():
+    left = []
+
+    def run(n):
+        left.append(n)
+        return {"m": len(left)}
+
+    with pytest.warns(UserWarning, match=r"value of left around .* changed.*depends"):
+        Study(run, {"n": [1, 2]}).run(progress=False)
 
 
 class OddBaseError(BaseException):
@@ -189,11 +229,20 @@ def test_each_run_is_reported(capsys, caplog, monkeypatch):
     assert out == "" and "3/3" in err and "1 failed, the end" in err
     monkeypatch.setattr("sys.stderr", None)
     for progress in (None, True):
-        assert Study(case, {"sweeps": [1]}).run(progress=progress)["status"].tolist() == ["done"]
+        assert sweep(case, {"sweeps": [1]}).run(progress=progress)["status"].tolist() == ["done"]
 
 
 TABLE = pd.DataFrame({"mesh <h>": ["33 x 33", "a&b"], "seconds": [0.123456, float("nan")], "cycles": [12, 7],
                       "ok": [True, False]})
+
+
+def test_a_line_a_minute_where_there_is_no_terminal(capsys, monkeypatch):
+    monkeypatch.setattr(study, "_EVERY_S", 0.0)
+    sweep(case, {"sweeps": [1, 2]}).run()
+    assert "study case: 1 of 2 runs, none failed" in capsys.readouterr().err
+    monkeypatch.setattr(study, "_EVERY_S", 60.0)
+    sweep(case, {"sweeps": [1, 2]}).run()
+    assert capsys.readouterr().err == ""
 
 
 def test_tables_name_units():
