@@ -25,16 +25,11 @@ Sweep       Study; designs and tables in study
 """
 
 import functools
-import sys
 from typing import Any
 
 import lazy_loader
 
 __version__ = "0.1.0"
-
-if sys.flags.optimize > 1:
-    raise ImportError("adaptmg cannot run under 'python -OO' (PYTHONOPTIMIZE=2), which removes the docstrings that "
-                      "pyamg and the command line read: use 'python -O'")
 
 # the names stand in __init__.pyi; not __all__, with which help(adaptmg) would show each class at length
 _load, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)

@@ -247,9 +247,10 @@ class _Pickler(pickle.Pickler):
             return _plain_code(value) if kind is CodeType else dict(value)
         if kind in _STANDS:
             return kind.__name__, [getattr(value, name) for name in _STANDS[kind]]
-        if kind.__module__.startswith("numba.") and hasattr(value, "jit_methods"):  # of a numba.experimental.jitclass
+        module = kind.__module__ if isinstance(kind.__module__, str) else "builtins"
+        if module.startswith("numba.") and hasattr(value, "jit_methods"):  # of a numba.experimental.jitclass
             return str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
-        if kind.__module__.startswith("numba.") and isinstance(
+        if module.startswith("numba.") and isinstance(
                 inner := getattr(value, "py_func", getattr(value, "__wrapped__", None)), FunctionType):
             return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
         if isinstance(value, _REFUSED):
@@ -260,7 +261,7 @@ class _Pickler(pickle.Pickler):
         if isinstance(value, enum.Enum):  # early releases of Python 3.11 pickle the name alone
             return kind, value._name_, value._value_
         caches = any(type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values())
-        if not found.is_own(kind.__module__) and not (caches and kind.__reduce__ is object.__reduce__):
+        if not found.is_own(module) and not (caches and kind.__reduce__ is object.__reduce__):
             return None
         if id(value) in self.held:
             return "again", self.held[id(value)][0]

@@ -62,11 +62,6 @@ def test_importing_is_light(modules, heavy):
     assert run.stdout == ""
 
 
-def test_python_without_docstrings_is_refused_by_name():
-    run = subprocess.run([sys.executable, "-OO", "-c", "import adaptmg"], capture_output=True, text=True)
-    assert run.stderr.splitlines()[-1].startswith("ImportError: adaptmg cannot run under 'python -OO'")
-
-
 def _public() -> dict[str, object]:
     """Public names with what they stand for: those of the package, and those of the submodules that users name."""
     names = {name: getattr(adaptmg, name) for name in dir(adaptmg)}

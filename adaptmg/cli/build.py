@@ -1,10 +1,9 @@
-"""From the settings of a run, by ``"section.key"``, to problem, grids, method, load path and adaptive loop.
+"""From the settings of the command line, by ``"section.key"``, to problem, grids, method, load path and adaptive loop.
 
 The keys are the arguments of the classes and functions: fields of the option classes, arguments of cases and of the
 constructors of :class:`adaptmg.Hierarchy`. An object is chosen by the name of its class (``correction = "monotone"``),
 and its fields stand next to it (``pre`` of the cycle, ``friction`` of the law); those of solvers inside a method are
-written with a point (``coarse.rtol``). Defaults, checks and explanations are those of the classes. They are the keys of
-study files and the options of the command line.
+written with a point (``coarse.rtol``). Types, defaults and checks are those of the signatures and classes.
 """
 
 from __future__ import annotations
@@ -21,8 +20,9 @@ import numpy as np
 
 import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.cases import get
+from adaptmg.cases import CASES, get
 from adaptmg.mesh.grading import sensible_sizes
+from adaptmg.problem.load_path import names_in_path
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.solver.record import Solver
 from adaptmg.study.record import Value
@@ -44,19 +44,13 @@ OBJECTS: dict[str, tuple[type, ...]] = {
     "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening)}
 #: arguments of methods that hold options of their own, a table each
 INNER = {"coarse": am.CoarseSolve, "start": am.NestedStart}
-#: sections whose keys are settings of a run
-SETTINGS = ("case", "hierarchy", "solver", "adapt", "load_path")
-#: purposes of the sections of a study file
+#: sections of settings, and their purposes
 PURPOSE = {
     "case": "the problem: its name, its law, and its arguments, see 'adaptmg cases NAME'",
     "hierarchy": "grids; without it those that follow the size of the bodies and of the contact boundaries",
     "solver": "method; without it full multigrid, truncated, to 1e-8",
-    "adapt": "instead of [hierarchy]: meshes that follow the error, until one of the limits",
-    "load_path": "load steps: factors by boundary or body, NAME = [0.5, 1.0], one a step",
-    "measure": "columns of the table next to the outcome; it may be empty",
-    "run": "how runs are computed",
-    "design": "which points",
-    "vary": "settings and their values, \"solver.pre\" = [1, 2, 4]; samples: their ranges [low, high]",
+    "adapt": "meshes that follow the error, until one of the limits",
+    "load_path": "load steps: factors by boundary or body, one a step",
 }
 #: grids of rectangles and boxes
 _DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
@@ -69,11 +63,10 @@ _APART = ("self", "problem", "store", "depends", "progress", "scheduler", "solve
 
 @dataclass(frozen=True)
 class Key:
-    """A key as the docstring of its argument describes it."""
+    """A key as the signature of its function or class describes it."""
 
     values: str  # type or choices
-    meaning: str
-    default: str = ""  # as TOML, empty where there is none
+    default: str = ""  # empty where there is none
 
     @property
     def real(self) -> bool:
@@ -87,7 +80,7 @@ def section(settings: Settings, name: str) -> Arguments:
 
 
 def name_of(kind: type) -> str:
-    """Return the name of a class in files: ``PseudoL2`` is pseudo-l2, ``PaperCorrection`` paper."""
+    """Return the name of a class in settings: ``PseudoL2`` is pseudo-l2, ``PaperCorrection`` paper."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", kind.__name__).lower().removesuffix("-correction")
 
 
@@ -120,29 +113,22 @@ def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) ->
 def _inner(function: Maker) -> dict[str, type]:
     """Fields of a class that hold options of their own."""
     fields = dataclasses.fields(function) if dataclasses.is_dataclass(function) else ()
-    return {field.name: INNER[field.name] for field in fields if field.name in INNER}
+    return {field.name: INNER[field.name] for field in fields
+            if field.name in INNER and not str(field.type).startswith("str")}
 
 
 @cache
 def keys_of(function: Maker) -> dict[str, Key]:
     """Return the keys of a class or function: its arguments, and those of the objects that these may be."""
-    words = _documented(function)
     found, nested = {}, {}
     for name, (item, kinds) in _parameters(function).items():
-        kind, meaning = words.get(name, ("", ""))
         default = _default_class(name, item, kinds)
         if kinds[1:]:
-            lines = {choice: (inspect.getdoc(choice) or "").splitlines()[0] for choice in kinds}
-            about = "; ".join(f"{name_of(choice)}: {_unmarked(line).rstrip('.')}" for choice, line in lines.items())
-            found[name] = Key(" | ".join(map(name_of, kinds)), about, f'"{name_of(default)}"' if default else "")
+            found[name] = Key(" | ".join(map(name_of, kinds)), name_of(default) if default else "")
         elif not kinds:
-            annotation = str(item.annotation).removesuffix(" | None")
-            choices = re.search(r"\{(.*)\}", kind)
-            shown = choices[1].replace('"', "").replace(",", " |") if choices else \
-                annotation if annotation in ("float", "int", "bool", "str") else kind.removesuffix(", optional")
-            found[name] = Key(shown, meaning, _default(item.default))
+            found[name] = Key(str(item.annotation).removesuffix(" | None"), _default(item.default))
         for choice in kinds:
-            own = {key: dataclasses.replace(value, default=_default(getattr(item.default, key)))
+            own = {key: Key(value.values, _default(getattr(item.default, key)))
                    if type(item.default) is choice and hasattr(item.default, key) else value
                    for key, value in keys_of(choice).items()}
             nested |= {key: value for key, value in own.items() if key not in nested}
@@ -152,43 +138,9 @@ def keys_of(function: Maker) -> dict[str, Key]:
 
 
 def _default(value: object) -> str:
-    if isinstance(value, bool):
+    if isinstance(value, bool | str):
         return str(value).lower()
-    if isinstance(value, str):
-        return f'"{value}"'
     return f"{value:g}" if isinstance(value, int | float) else ""
-
-
-_SEE = re.compile(r"(?:[Aa]s in|see) :func:`~?adaptmg\.cases\.\w+\.(\w+)`")
-#: names, type and text of an argument in a docstring
-_ARGUMENT = re.compile(r"^(\w[\w, ]*?)(?: : (.*)|)\n((?: {4}.*\n|\n)*)", re.MULTILINE)
-
-
-@cache
-def _documented(function: Maker) -> dict[str, tuple[str, str]]:
-    """Return type and first sentence of each argument from a docstring; for a class also those of its bases."""
-    found: dict[str, tuple[str, str]] = {}
-    for base in function.__mro__[1:-1] if isinstance(function, type) else ():
-        found = _documented(base) | found
-    _, _, listed = (inspect.getdoc(function) or "").partition("Parameters\n----------\n")
-    listed = re.split(r"\n\w+\n-{3,}\n", listed)[0]
-    for names, kind, text in _ARGUMENT.findall(f"{listed}\n\n"):
-        for name in names.split(", "):
-            found[name] = kind, _first_sentence(name, f"{kind if kind.startswith('see') else ''} {text}")
-    return found
-
-
-def _first_sentence(name: str, text: str) -> str:
-    refers = _SEE.search(text)
-    if refers:
-        return _documented(get(refers[1]).function)[name][1]
-    known = {"young": "Young's modulus, Pa", "poisson": "Poisson's ratio"}
-    text = " ".join(_unmarked(text).split()).replace("Pa, and a number", known.get(name, "Pa, and a number"))
-    return re.split(r"(?<=[^.])\.\s+(?=[A-Z])", text)[0].rstrip(".")
-
-
-def _unmarked(text: str) -> str:
-    return re.sub(r":\w+:`~?([^`]*)`", r"\1", text).replace("`", "").strip()
 
 
 def arguments_of(function: Maker, given: Arguments, before: str, what: str) -> Arguments:
@@ -266,29 +218,15 @@ def problem_of(given: Arguments) -> am.ContactProblem:
 
 @cache
 def sections() -> dict[str, dict[str, Key]]:
-    """Return all sections with their keys; of [case] those of all cases."""
-    samples, run = keys_of(am.study.Random), keys_of(am.Study.run)
+    """Return all sections with their keys; of the case those of all cases."""
     return {
-        "case": {"case": Key("name", "the problem, see 'adaptmg cases'"),
-                 "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "contact law", "that of the case"),
+        "case": {"case": Key("name"), "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "that of the case"),
                  **{key: value for kind in OBJECTS["law"] for key, value in keys_of(kind).items()}},
-        "hierarchy": {**keys_of(am.Hierarchy.uniform), **keys_of(am.Hierarchy.graded),
-                      "levels": Key("int", "How often the elements at contact of a single grid are bisected")},
-        "solver": {"method": Key(" | ".join(map(name_of, METHODS)), "the solver", f'"{name_of(METHODS[0])}"'),
+        "hierarchy": {**keys_of(am.Hierarchy.uniform), **keys_of(am.Hierarchy.graded), "levels": Key("int")},
+        "solver": {"method": Key(" | ".join(map(name_of, METHODS)), name_of(METHODS[0])),
                    **{name: key for kind in reversed(METHODS) for name, key in keys_of(kind).items()}},
         "adapt": keys_of(am.adapt),
-        "load_path": {"default": keys_of(am.LoadPath)["default"]},
-        "measure": {"columns": Key("list of names", "measures in the table", "cycles, work_units, residual, nodes"),
-                    "forces_on": Key("list of names", "boundaries: resultant force on each, columns 'force_x(NAME)'"),
-                    "points": Key("{NAME = [x, y]}, m", "displacement at named points, columns 'NAME.x', m"),
-                    "keep": Key("bool", "keep the result of the last step in the folder STORE.files", "false")},
-        "run": {name: run[name] for name in ("workers", "limit_s", "memory_limit", "cost")},
-        "design": {"kind": Key("grid | zip | random | latin-hypercube | sobol", "every combination of values; lists "
-                               "side by side; samples of ranges [low, high]", '"grid"'),
-                   **{name: samples[name] for name in ("runs", "seed")},
-                   "log": Key("list of names", "Settings that are sampled on a logarithmic scale"),
-                   "repeats": Key("int", "How often each point is run: a parameter 'repeat' counts them", "1")},
-        "vary": {}}
+        "load_path": {"default": keys_of(am.LoadPath)["default"]}}
 
 
 def case_keys(name: str) -> dict[str, Key]:
@@ -300,13 +238,11 @@ def setting(known: Mapping[str, Mapping[str, Key]], name: str, value: object) ->
     """Return the value of a setting as a parameter; whole numbers are floats where an argument is one."""
     part, _, key = name.partition(".")
     keys = known[part]
-    # values by name, such as measure.points.A, have a key after the argument
+    # values by name, such as hierarchy.sizes.upper, have a key after the argument
     head = keys.get(key.partition(".")[0])
-    by_name = "." in key and head is not None and ("mapping" in head.values or "{" in head.values)
+    by_name = "." in key and head is not None and "Mapping" in head.values
     if not (key in keys or by_name or (part == "load_path" and key)):
-        command = "cases NAME" if part == "case" else "study --keys"
-        raise ValueError(f"[{part}] has no key {key!r}{checks.suggestion(key, keys)}: 'adaptmg {command}' lists the "
-                         "keys")
+        raise ValueError(f"there is no argument {name!r}{checks.suggestion(key, keys)}; there are {', '.join(keys)}")
     plain = _plain(name, value)
     whole = type(plain) is int and key in keys and keys[key].real
     return float(plain) if whole and abs(plain) < 1e300 else plain
@@ -327,7 +263,7 @@ def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> d
     for name, text in texts.items():
         part, _, key = name.partition(".")
         value = _value_of(text)
-        listed = key in known[part] and known[part][key].values.startswith(("sequence", "list"))
+        listed = key in known[part] and known[part][key].values.startswith("Sequence")
         found[name] = setting(known, name, (value,) if listed and not isinstance(value, tuple) else value)
     if adaptive and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(found):
         found["adapt.max_nodes"] = _NODES
@@ -416,3 +352,22 @@ def parts(task: am.ContactProblem) -> dict[str, Domain]:
 def are_blocks(task: am.ContactProblem) -> bool:
     """Whether structured grids can be made."""
     return all(isinstance(part, am.Rectangle | am.Box) for part in parts(task).values())
+
+
+def case_facts(name: str) -> dict[str, object]:
+    """Return arguments, boundaries and loads of a case as JSON takes them."""
+    posed = get(name).function()
+    return {"name": name, "description": CASES[name].description, "dimension": posed.dim,
+            "arguments": {key: dataclasses.asdict(item) for key, item in case_keys(name).items()},
+            "boundaries": list(posed.domain.boundaries), "contact": list(posed.pair_boundaries),
+            "loads": list(names_in_path(posed))}
+
+
+def about_case(name: str) -> str:
+    """Return arguments, boundaries and loads of a case as text, and what its function says of itself."""
+    facts = case_facts(name)
+    arguments = [f"  {key:<15} {item.values}{f', default {item.default}' if item.default else ''}"
+                 for key, item in case_keys(name).items()]
+    lists = [f"  {key:<15} {', '.join(facts[key])}" for key in ("boundaries", "contact", "loads")]
+    return "\n".join([f"{name}: {facts['description']}", "", "Arguments (--set NAME=VALUE):", *arguments, "", *lists,
+                      "", inspect.getdoc(get(name).function) or ""]).rstrip()

@@ -1,7 +1,6 @@
 """The commands and their options. Heavy modules are imported inside them, so that ``--help`` is instant.
 
-The options of ``solve`` and ``adapt`` are the keys of study files: :mod:`adaptmg.cli.build` makes both from the
-classes.
+The options of ``solve`` and ``adapt`` are made from signatures and types by :mod:`adaptmg.cli.build`.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from adaptmg import __version__
 from adaptmg._text import printable
 
 _STORED = "finished runs are stored, the same command goes on"
-#: sections of a study file whose keys are the options of a command
+#: sections of settings whose keys are the options of a command
 _SECTIONS = {"solve": ("case", "hierarchy", "solver"), "adapt": ("case", "adapt")}
 
 
@@ -71,11 +70,11 @@ def _parser(command: str) -> _Parser:
         return own.add_argument
 
     add = made(_cases, "list the benchmark cases, or explain one", "dovetail")
-    add("case", metavar="CASE", nargs="?", help="explain this one: arguments with units and defaults, loads")
+    add("case", metavar="CASE", nargs="?", help="explain this one: arguments with types and defaults, loads")
     _add_json(add)
     add = made(_solve, "solve a case and print the result", "greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
                "--transfer pseudo-l2 --friction 0.3 --set young=7e10 --out results/bar",
-               "Without options grids follow the case. Options are the keys of study files; lists have commas.")
+               "Without options grids follow the case. Lists have commas.")
     add("--out", metavar="FOLDER", type=Path, help="folder for the result (.npz), pictures and a .vtu file")
     _add_json(add)
     add = made(_adapt, "solve a case on meshes that follow the error, until a limit is reached: a line a step",
@@ -98,15 +97,15 @@ def _add_store(add: Callable[..., object]) -> None:
 
 def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
     """Add the commands of studies and their stores."""
-    add = made(_study, "run a study file and print its table", "my.toml --workers 4",
-               "Runs that are stored are not computed again. 'adaptmg study --template greco_bar > my.toml' writes a "
-               "file to begin with. Exit code 0: all runs done and converged; 1: a run failed or did not converge.")
-    add("file", metavar="FILE.toml", type=Path, nargs="?", help="study: --keys lists its keys, --template prints one")
-    add("--keys", action="store_true", help="list all keys and measures, with units and defaults")
-    add("--template", metavar="CASE", help="print a file to begin with, for a case of 'adaptmg cases'")
-    add("--workers", metavar="N", type=int, help="processes on this machine (default: of the file, or this process)")
+    add = made(_study, "run the study of a Python script and print its table", "my.py --workers 4",
+               "The script makes an am.Study, or has run and parameters. Runs that are stored are not computed again. "
+               "Exit code 0: all runs done and converged; 1: a run failed or did not converge (column outcome).")
+    add("file", metavar="FILE.py", type=Path, help="script")
+    add("--workers", metavar="N", type=int, help="processes on this machine (default: this process)")
     add("--scheduler", metavar="ADDRESS", help="a dask scheduler instead, such as tcp://host:8786")
-    add("--store", metavar="STORE", type=Path, help="SQLite file (default: that of the file)")
+    add("--limit-s", metavar="SECONDS", type=float, help="stop a run after this time; needs workers")
+    add("--memory-limit", metavar="BYTES", type=float, help="stop a run that holds more memory; needs --workers")
+    add("--store", metavar="STORE", type=Path, help="SQLite file (default: results/FILE.sqlite)")
     add("--dry-run", action="store_true", help="show the runs without computing them")
     add("--retry-failed", action="store_true", help="run again what failed")
     add("--rerun", action="store_true", help="run everything again")
@@ -134,18 +133,18 @@ def _add_settings(parser: _Parser, command: str) -> None:
 
     parser.add_argument("case", metavar="CASE", help="name of a case, see 'adaptmg cases'")
     parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[],
-                        help="an argument of the case, see 'adaptmg cases CASE', or another key of a study file, such "
-                             "as load_path.left=0.5,1; several times")
+                        help="an argument of the case, see 'adaptmg cases CASE', or another setting, such as "
+                             "load_path.left=0.5,1; several times")
     for section in _SECTIONS[command]:
         group = parser.add_argument_group(f"{section}: {PURPOSE[section]}".replace("%", "%%"))
         for key, about in sections()[section].items():
             names = [f"--{name.replace('_', '-')}" for name in {"method": ("solver", key), "shape": ("cycle", key)}.get(
                 key, (key,))]
             if key != "case" and not set(names) & set(parser._option_string_actions):
-                default = f" (default: {about.default})" if about.default else ""
+                default = f", default {about.default}" if about.default else ""
                 group.add_argument(*names, dest=f"{section}.{key}", default=argparse.SUPPRESS,
                                    metavar=about.values if len(about.values) < 12 else "VALUE",
-                                   help=f"{about.meaning}{default}".replace("%", "%%"))
+                                   help=f"{about.values}{default}".replace("%", "%%"))
 
 
 def _settings(given: Namespace) -> dict[str, object]:
@@ -171,9 +170,9 @@ def _cases(given: Namespace) -> None:
     from adaptmg.cases import CASES
 
     if given.case is not None:
-        from adaptmg.cli import study_file
+        from adaptmg.cli import build
 
-        _print_json(study_file.case_facts(given.case)) if given.json else _say(study_file.about_case(given.case))
+        _print_json(build.case_facts(given.case)) if given.json else _say(build.about_case(given.case))
     elif given.json:
         _print_json([{"name": name, "description": case.description} for name, case in CASES.items()])
     else:
@@ -218,37 +217,25 @@ def _adapt(given: Namespace) -> None:
 
 
 def _study(given: Namespace) -> int:
-    from adaptmg.cli import study_file
-    from adaptmg.cli.case_run import units_of
+    from adaptmg.cli import study_script
     from adaptmg.cli.output import logged, printed
+    from adaptmg.cli.runs import units
 
-    if given.keys or given.template is not None:
-        if given.json:
-            _print_json(study_file.key_facts() if given.keys else {"template": study_file.template(given.template)})
-        else:
-            _say(study_file.keys() if given.keys else study_file.template(given.template))
-        return 0
-    if given.file is None:
-        raise ValueError("give a file: adaptmg study FILE.toml; --template CASE prints one to begin with")
-    described = study_file.read(given.file)
-    options = {**described.options, "rerun": given.rerun, "retry_failed": given.retry_failed}
-    if given.workers is not None or given.scheduler is not None:
-        options |= {"workers": given.workers, "scheduler": given.scheduler}
-    target = described.store if given.store is None else given.store
-    # a dry run writes nothing
-    made = study_file.checked(described, target if not given.dry_run or target.exists() else None)
+    made = study_script.study_of(given.file, given.store)
     if given.dry_run:
-        _print_json(study_file.summary(made, False)) if given.json else _say(study_file.plan(made))
+        _print_json(study_script.summary(made, False)) if given.json else _say(study_script.plan(made))
         return 0
+    options = {name: getattr(given, name) for name in ("workers", "scheduler", "limit_s", "memory_limit", "rerun",
+                                                       "retry_failed")}
     # failures only on a terminal, else a line for each run
     level = logging.INFO if sys.stderr and not (given.quiet or sys.stderr.isatty()) else logging.WARNING
     with logged("adaptmg.study", level, logging.StreamHandler()):
         table = made.run(progress=False if given.quiet else None, **options)
     if given.json:
-        _print_json(study_file.summary(made, True))
+        _print_json(study_script.summary(made, True))
     elif not given.quiet:
-        text = printed(table.drop(columns="error"), made.parameters, units=units_of(table))
-        _say(f"{text}\n\n{made.status()!r}\nstored in {target}")
+        text = printed(table.drop(columns="error"), made.parameters, units=units(list(table)))
+        _say(f"{text}\n\n{made.status()!r}")
     failed = int((table["status"] == "failed").sum())
     missed = int((table["outcome"].dropna() != "CONVERGED").sum()) if "outcome" in table else 0
     for count, words in ((failed, "failed: --retry-failed runs them again"),
@@ -285,7 +272,7 @@ def _runs(given: Namespace) -> None:
         total = len(table)
         counted = "1 run" if total == 1 else f"{total} runs"
         note = f"... {total - limit} more: --limit, or --to FILE.csv for all" if total > limit else counted
-        _say(printed(runs.short(table.head(limit)), list(records[0].parameters), units=runs.units(records, table),
+        _say(printed(runs.short(table.head(limit)), list(records[0].parameters), units=runs.units(list(table)),
                      note=note))
 
 

@@ -51,12 +51,8 @@ def selected(records: Sequence[Record], *, status: str | None = None, where: Seq
     return frame(names, [(record.parameters, record, record.status) for record in found], details)
 
 
-def units(records: Sequence[Record], columns: Sequence[str]) -> dict[str, str]:
-    """Return units of the columns of a table: those of what study files measure where the study is of one."""
-    if any("case.case" in record.parameters for record in records):
-        from adaptmg.cli.case_run import units_of  # loads the solvers
-
-        return units_of(columns)
+def units(columns: Sequence[str]) -> dict[str, str]:
+    """Return units of the columns that every table of a study has."""
     return {column: unit for column, unit in {"seconds": "s", "peak_memory": "bytes"}.items() if column in columns}
 
 
@@ -77,9 +73,9 @@ def report(path: Path, study: str | None, results: list[str] | None, to: Path | 
     if csv == page:
         raise ValueError(f"--to must be an HTML file, got {checks.shown(str(to))}: its table is a .csv next to it")
     same = [f"{key} = {_shown(value)}" for key, value in records[0].parameters.items()
-            if key not in table and not key.startswith("measure.")]
+            if key not in table]
     written = study_report(table, page, parameters=[key for key in table if key in parameters], results=results,
-                           csv=csv.name, units=units(records, table), made=_origin(records),
+                           csv=csv.name, units=units(list(table)), made=_origin(records),
                            summary=f"In all runs {'; '.join(same)}." if same else "")
     write(table, csv)
     return written, csv

@@ -123,16 +123,6 @@ def test_csv_is_read_back(command):
         runs.ending(Path("t.parquet"))
 
 
-def test_units_are_those_of_study_files(tmp_path):
-    store = Store(tmp_path / "s.sqlite")
-    measured = {"max_pressure": 1.0, "force_x(bar.bottom)": 2.0}
-    store.put("file", Record(parameters={"case.case": "greco_bar"}, status="done", results=measured))
-    store.put("script", Record(parameters={"n": 1}, status="done", results=measured))
-    for name, units in (("file", {"max_pressure": "Pa", "force_x(bar.bottom)": "N or N/m", "seconds": "s"}),
-                        ("script", {"seconds": "s"})):
-        assert runs.units(store.runs(name), runs.selected(store.runs(name))) == units
-
-
 @pytest.fixture
 def report(command):
     """``adaptmg report``: exit code, standard error."""
@@ -162,16 +152,15 @@ def test_a_page_and_its_table_stand_beside_the_store(report):
 
 def test_a_page_says_what_all_runs_share_units_and_when_they_were_made(report):
     store = Store("s.sqlite")
-    same = {"case.case": "greco_bar", "h.sizes": (0.01, 5e-3), "measure.columns": ("max_pressure",)}
+    same = {"case.case": "greco_bar", "h.sizes": (0.01, 5e-3)}
     store.put_all("study", [Record(parameters=same | {"case.friction": k / 2}, status="done", machine="node7",
                                    results={"max_pressure": 1e6 * k, "text": "\udcff"}, commit="c" * 40,
                                    finished=f"2026-01-0{k}T10:00:00") for k in range(1, 4)])
     assert report("s.sqlite")[0] == 0
     page = Path("study.html").read_text(encoding="utf-8")
-    for words in ("In all runs case.case = greco_bar; h.sizes = [0.01, 0.005].", "[Pa]", "node7", "cccccccccccc<",
+    for words in ("In all runs case.case = greco_bar; h.sizes = [0.01, 0.005].", "[s]", "node7", "cccccccccccc<",
                   "2026-01-01T10:00 to 2026-01-03T10:00 UTC", r"\udcff"):
         assert words in page, words
-    assert "measure.columns" not in page
     code, err = report("s.sqlite", "--to", "study.csv")
     assert code == 2 and "must be an HTML file" in err
 
