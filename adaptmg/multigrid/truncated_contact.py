@@ -25,15 +25,6 @@ from adaptmg.smoother.node_solve import natural_at, read_reference
 from adaptmg.smoother.system import BACKWARDS, CLOSED, HELD, SLIPS, TANGENTIAL, NodalContact, local_contact, turn_held
 
 
-@dataclass(frozen=True)
-class StatusChange:
-    """The result of an update of the contact status."""
-
-    changed: int  # nodes whose status differs from that of the last update
-    natural: float  # sum of squares of the natural residual, N^2
-    reactions: float  # sum of squares of the contact forces, N^2
-
-
 @dataclass(eq=False)
 class TruncatedContact:
     """Contact data and contact status of one level, flat as the kernels read them."""
@@ -90,10 +81,9 @@ class TruncatedContact:
         self.project(unknowns)
         self.codes[:] = -1
 
-    def update_status(self, residual: np.ndarray) -> StatusChange:
-        """Find the status after a sweep; ``residual`` is f - A u (n_dofs,)."""
-        return StatusChange(*classify(ZERO[self.dim], self.nodes, *self.node_data, residual, self.codes,
-                                      self.pressure))
+    def update_status(self, residual: np.ndarray) -> tuple[int, float, float]:
+        """Find the status after a sweep; ``residual`` is f - A u (n_dofs,). Returns what :func:`classify` does."""
+        return classify(ZERO[self.dim], self.nodes, *self.node_data, residual, self.codes, self.pressure)
 
     def linearise_friction(self) -> None:
         """Take the slip directions (3D: and the Hessian of g |slip|) from the present unknowns; zero elsewhere."""

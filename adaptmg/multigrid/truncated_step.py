@@ -80,20 +80,20 @@ class TruncatedStep:
         """Update the contact status, truncate the residual and, where the status has changed, the coarse matrices.
         ``safe`` freezes g in the matrices, which keeps them symmetric; a residual above ``trusted`` (N) does the
         same."""
-        status = self.contact.update_status(self.residual)
+        changed, natural, reactions = self.contact.update_status(self.residual)
         at_contact = self.contact.truncate(self.residual)
         self._restricted = np.empty(self.coarse.n_dofs)
         elsewhere = max(self.level.restrict(self.residual, self._restricted) - at_contact, 0.0)
         self.cycle.recorder.visit(self.number, "restrict")
-        residual = float(np.sqrt(elsewhere + status.natural))
+        residual = float(np.sqrt(elsewhere + natural))
         frozen = safe or residual > trusted
-        if status.changed or frozen != self._frozen:
+        if changed or frozen != self._frozen:
             self.contact.linearise_friction()
             self.truncation.apply(newton=not frozen)
             self.cycle.renew(self.number)
             self._past.clear()
             self._frozen = frozen
-        return StepState(status.changed, residual, float(np.sqrt(status.reactions)), energy)
+        return StepState(changed, residual, float(np.sqrt(reactions)), energy)
 
     def correct(self) -> float:
         """Correct, project and search; returns the energy of the coarse correction, N m. It estimates the energy of the
