@@ -25,11 +25,14 @@ Sweep       Study; designs and tables in study
 """
 
 import functools
+import time
 from typing import Any
 
 import lazy_loader
 
 __version__ = "0.1.0"
+#: sources that were edited later are not those that run
+_LOADED = time.time()
 
 # the names stand in __init__.pyi; not __all__, with which help(adaptmg) would show each class at length
 _load, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)

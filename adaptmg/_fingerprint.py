@@ -364,5 +364,7 @@ def _sources() -> str:
     root, content = Path(__file__).parent, hashlib.sha256()
     for file in sorted(root.rglob("*.py")):
         if file.relative_to(root).parts[0] not in _NOT_NUMERICAL:
+            if file.stat().st_mtime > sys.modules["adaptmg"]._LOADED:
+                raise RuntimeError(f"{file} was edited after adaptmg was loaded: start Python again")
             content.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return content.hexdigest()[:16]

@@ -131,6 +131,15 @@ def test_adaptmg_and_packages_count_where_they_are_used():
     assert "package numpy" not in fingerprint(none).parts and "package numpy" in fingerprint(numbers).parts
 
 
+def test_sources_that_were_edited_after_they_were_loaded_are_refused(monkeypatch):
+    from adaptmg._fingerprint import _sources
+
+    assert _sources.__wrapped__() == _sources()
+    monkeypatch.setattr(am, "_LOADED", 0.0)
+    with pytest.raises(RuntimeError, match=r"\.py was edited after adaptmg was loaded: start Python again"):
+        _sources.__wrapped__()
+
+
 def reads_lock(n):
     with LOCK:
         return {"m": n}
