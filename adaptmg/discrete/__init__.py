@@ -2,10 +2,10 @@
 
 from adaptmg.discrete.discretise import discretise
 from adaptmg.discrete.elasticity import stiffness
-from adaptmg.discrete.facets import fixed_dofs
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import element_strain, full_stress, von_mises
+from adaptmg.discrete.supports import fixed_dofs
 
 __all__ = ["discretise", "element_strain", "fixed_dofs", "full_stress", "load_vector",
            "rigid_motions", "stiffness", "von_mises"]

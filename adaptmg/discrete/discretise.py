@@ -37,14 +37,14 @@ from adaptmg._on_demand import OnDemand
 from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.exchange import ScaledLaw, find_carriers
-from adaptmg.discrete.facets import area_vectors, fixed_dofs, named_facets, shape_integrals, supported_nodes
 from adaptmg.discrete.loads import load_vector, supported_stiffness
-from adaptmg.discrete.mortar.interface import MortarInterface, surface_normals
+from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import StressData
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.discrete.supports import fixed_dofs, supported_nodes
+from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.load_path import DEFAULT, name_in_path
 from adaptmg.problem.loads import InitialStrain
@@ -204,7 +204,7 @@ def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
 
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
     """Raise ValueError if a body has neither a support nor a surface in contact."""
-    held = np.concatenate([*(mesh.boundary_facets(name).reshape(-1) for name in problem.pair_boundaries),
+    held = np.concatenate([*(mesh.surface(name).nodes for name in problem.pair_boundaries),
                            *(supported_nodes(mesh, support) for support in problem.supports)])
     for name, nodes in bodies.items():
         if not (np.searchsorted(nodes, held) < np.searchsorted(nodes, held, "right")).any():
@@ -232,21 +232,21 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m; ``fixed`` are the
     prescribed dofs."""
     owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
-    facets = [named_facets(mesh, contact.boundary) for contact in problem.contact]
-    for k in reversed(range(len(facets))):
-        owner[facets[k]] = k
+    surfaces = [mesh.surface(name) for name in problem.contact_boundaries]
+    for k in reversed(range(len(surfaces))):
+        owner[surfaces[k].nodes] = k
     fixed = (fixed_dofs(mesh, problem.supports)[0] if fixed is None else fixed).reshape(-1, mesh.dim)
     parts = []
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
-            mine = np.unique(facets[k])
+            mine = surfaces[k].nodes
             without = mine[owner[mine] != k]
             if excluded is not None:
                 without = np.union1d(without, excluded)
             parts.append(pair_interface(mesh, contact, fixed=fixed, excluded=without,
                                         axisymmetric=problem.axisymmetric))
         else:
-            parts.append(_in_front_of(contact, problem, mesh, facets, owner, k, fixed))
+            parts.append(_in_front_of(contact, problem, mesh, surfaces, owner, k, fixed))
     boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
     nodes = np.concatenate([part.nodes for part in parts])
     order = np.argsort(nodes)
@@ -277,16 +277,15 @@ def _followed(parts: list[_Part | MortarInterface], n_nodes: int) -> sparse.csr_
     return sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
 
 
-def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray],
+def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
                  owner: np.ndarray, k: int, fixed: np.ndarray) -> _Part:
     """The nodes that contact boundary k owns, in front of a rigid obstacle."""
-    nodes = np.unique(facets[k])
-    nodes = nodes[owner[nodes] == k]
+    nodes = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
     try:
-        averaged = surface_normals(mesh.points, facets[k], fixed=fixed)[nodes]
+        averaged = slave_normals(surfaces[k], fixed)[nodes]
     except ValueError as error:
         raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
-    weights = _lumped_masses(problem, mesh, facets, nodes, k, averaged)
+    weights = _lumped_masses(problem, surfaces, nodes, k, averaged)
     normals, gaps = _facing(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
     gaps = np.array(gaps, dtype=np.float64)
     if len(nodes) and gaps.min() < 0:
@@ -299,20 +298,19 @@ def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, fa
     return _Part(nodes, normals, weights, gaps)
 
 
-def _lumped_masses(problem: ContactProblem, mesh: MeshArrays, facets: list[np.ndarray], nodes: np.ndarray, k: int,
-                   normals: np.ndarray) -> np.ndarray:
+def _lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
+                   ) -> np.ndarray:
     """Boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
     weights = np.zeros(len(nodes))
-    for other, mine in enumerate(facets):
+    for other, mine in enumerate(surfaces):
         if other != k and isinstance(problem.contact[other], ContactPair):
             continue
-        vectors = area_vectors(mesh.points, mine)
-        for corner, share in zip(mine.T, shape_integrals(mesh.points, mine, problem.axisymmetric).T, strict=True):
+        for corner, share in zip(mine.facets.T, mine.shares(problem.axisymmetric).T, strict=True):
             at = np.searchsorted(nodes, corner)
             here = at < np.searchsorted(nodes, corner, "right")
-            facing = np.linalg.norm(vectors[here], axis=1)
+            facing = mine.measures[here]
             if other != k:
-                facing = np.maximum(0.0, np.sum(vectors[here] * normals[at[here]], axis=1))
+                facing = np.maximum(0.0, np.sum(mine.vectors[here] * normals[at[here]], axis=1))
             np.add.at(weights, at[here], facing * share[here])
     return weights
 

@@ -25,8 +25,8 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants, stiffness
-from adaptmg.discrete.facets import area_vectors, named_facets, node_at
-from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_points, quadrature_rule
+from adaptmg.discrete.supports import node_at
+from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSpring, Pressure, Spring, Traction
 from adaptmg.problem.materials import Elastic, PlaneStress
@@ -53,21 +53,15 @@ def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | N
             here = slice(None) if load.body is None else body_elements(mesh, load.body)
             _add(result, mesh, mesh.elements[here], mesh.volumes[here], load, axisymmetric)
         else:
-            cells = named_facets(mesh, load.boundary)
-            vectors = area_vectors(mesh.points, cells)
-            measures = np.linalg.norm(vectors, axis=1)
-            _add(result, mesh, cells, measures, load, axisymmetric, vectors / measures[:, None])
+            surface = mesh.surface(load.boundary)
+            _add(result, mesh, surface.facets, surface.measures, load, axisymmetric, surface.normals)
     return vector
 
 
 def _add(result: np.ndarray, mesh: MeshArrays, cells: np.ndarray, measures: np.ndarray,
          load: BodyForce | Pressure | Traction, axisymmetric: bool, normals: np.ndarray | None = None) -> None:
     """Add the nodal forces of one load on ``cells`` to ``result`` (n_nodes, dim)."""
-    rule, weights = quadrature_rule(cells.shape[1], AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE)
-    points = quadrature_points(mesh.points, cells, rule)
-    weights = measures[:, None] * weights
-    if axisymmetric:
-        weights = weights * (2 * np.pi * points[:, :, 0])
+    rule, points, weights = integration(mesh.points, cells, measures, axisymmetric)
     nodal = np.einsum("cq,qk,cqd->ckd", weights, rule, load_density(load, points, normals), optimize=True)
     np.add.at(result, cells, nodal)
 
@@ -139,14 +133,12 @@ def _at_quadrature_points(mesh: MeshArrays, load: InitialStrain, axisymmetric: b
     """Elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric points."""
     _check_components(mesh, load)
     elements = body_elements(mesh, load.body)
-    rule, weights = quadrature_rule(mesh.dim + 1, AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE)
-    points = quadrature_points(mesh.points, mesh.elements[elements], rule)
+    rule, points, weights = integration(mesh.points, mesh.elements[elements], mesh.volumes[elements], axisymmetric)
     strain = np.zeros((*points.shape[:2], 3))
     for d, component in enumerate(load.components):
         name = f"component {d + 1} of InitialStrain on {load.body!r}"
         strain[:, :, d] = checks.field(name, component, points.reshape(-1, mesh.dim)).reshape(points.shape[:2])
-    measure = mesh.volumes[elements, None] * weights
-    return elements, strain, 2 * np.pi * points[:, :, 0] * measure if axisymmetric else measure, rule
+    return elements, strain, weights, rule
 
 
 def foundation(spring: Spring, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -166,17 +158,11 @@ def _elements(mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
     if isinstance(spring, PointSpring):
         own = np.diag([spring.x, spring.y, spring.z][:mesh.dim])
         return np.array([[node_at(mesh, spring.point, spring.body)]]), own[None, None, None]
-    facets = named_facets(mesh, spring.boundary)
-    vectors = area_vectors(mesh.points, facets)
-    measures = np.linalg.norm(vectors, axis=1)
-    rule, weights = quadrature_rule(mesh.dim, AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE)
-    points = quadrature_points(mesh.points, facets, rule)
-    weights = measures[:, None] * weights
-    if axisymmetric:
-        weights = weights * (2 * np.pi * points[:, :, 0])
-    per_area = weights[:, :, None, None] * foundation(spring, points, vectors / measures[:, None])
+    surface = mesh.surface(spring.boundary)
+    rule, points, weights = integration(mesh.points, surface.facets, surface.measures, axisymmetric)
+    per_area = weights[:, :, None, None] * foundation(spring, points, surface.normals)
     # the products of shape functions are symmetric to the last bit, and so is the matrix
-    return facets, np.einsum("qab,fqij->fabij", rule[:, :, None] * rule[:, None, :], per_area)
+    return surface.facets, np.einsum("qab,fqij->fabij", rule[:, :, None] * rule[:, None, :], per_area)
 
 
 def supported_stiffness(mesh: MeshArrays, material: Materials, supports: Sequence[AnySupport]) -> sparse.bsr_array:

@@ -27,9 +27,9 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.elasticity import body_materials, is_axisymmetric, lame_constants
-from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
 from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import StressData
+from adaptmg.discrete.supports import boundary_supports
 from adaptmg.estimate.adjoint import LinearisedContact
 from adaptmg.geometry.quadrature import (
     AXISYMMETRIC_DEGREE,
@@ -38,7 +38,7 @@ from adaptmg.geometry.quadrature import (
     quadrature_rule,
     simplex_rule,
 )
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import BodyForce, InitialStrain, Spring
 from adaptmg.smoother.system import ContactState as State
@@ -100,11 +100,10 @@ class EdgeBubbles:
         blocks = self._on_edges(blocks)
         actions = np.array([self._on_edges(work) for work in works])
         for spring in (one for one in self.problem.supports if isinstance(one, Spring)):
-            facets = named_facets(self.mesh, spring.boundary)
-            vectors = area_vectors(self.mesh.points, facets)
-            stiffness = foundation(spring, self.mesh.points[facets], vectors / np.linalg.norm(vectors, axis=1)[:, None])
+            surface = self.mesh.surface(spring.boundary)
+            stiffness = foundation(spring, self.mesh.points[surface.facets], surface.normals)
             for action, nodal in zip(actions, fields, strict=True):
-                action += self.boundary_work(facets, np.einsum("fkij,fkj->fki", stiffness, nodal[facets]))
+                action += self.boundary_work(surface, np.einsum("fkij,fkj->fki", stiffness, nodal[surface.facets]))
         return blocks, actions
 
     def stiffness(self, values: np.ndarray) -> np.ndarray:
@@ -160,12 +159,12 @@ class EdgeBubbles:
         sums = [np.bincount(edges, column, minlength=len(self.edges)) for column in flat.T]
         return np.stack(sums, axis=1).reshape(len(self.edges), *values.shape[2:])
 
-    def boundary_work(self, facets: np.ndarray, traction: np.ndarray) -> np.ndarray:
+    def boundary_work(self, surface: Surface, traction: np.ndarray) -> np.ndarray:
         """Work (n_edges, m) on the bubbles of values (n, dim, m) at the corners of facets, linear in between."""
         rule, _ = simplex_rule(self.mesh.dim - 1, _LOAD_POINTS)
         result = np.zeros((len(self.edges), traction.shape[2]))
-        measures = np.linalg.norm(area_vectors(self.mesh.points, facets), axis=1)
-        self._add(result, facets, self.of_facets(facets), np.einsum("qc,ncm->nqm", rule, traction), measures)
+        self._add(result, surface.facets, self.of_facets(surface.facets), np.einsum("qc,ncm->nqm", rule, traction),
+                  surface.measures)
         return result
 
     def load(self) -> np.ndarray:
@@ -180,10 +179,9 @@ class EdgeBubbles:
                 cells, edges, measures = mesh.elements[here], self.element_edges[here], mesh.volumes[here]
                 normals = None
             else:
-                cells = named_facets(mesh, load.boundary)
-                vectors = area_vectors(mesh.points, cells)
-                edges, measures = self.of_facets(cells), np.linalg.norm(vectors, axis=1)
-                normals = vectors / measures[:, None]
+                surface = mesh.surface(load.boundary)
+                cells, measures, normals = surface.facets, surface.measures, surface.normals
+                edges = self.of_facets(cells)
             rule, _ = simplex_rule(cells.shape[1] - 1, _LOAD_POINTS)
             density = load_density(load, quadrature_points(mesh.points, cells, rule), normals)
             self._add(result, cells, edges, density, measures)

@@ -25,7 +25,6 @@ from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
 from adaptmg._text import shortened
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.estimate.adjoint import AdjointSolution, LinearisedContact, adjoint_system, linearised_contact
 from adaptmg.estimate.edge_bubbles import BubbleError, EdgeBubbles, bubble_error, bubble_spaces, edge_bubbles
 from adaptmg.estimate.estimate import Estimate
@@ -46,12 +45,6 @@ class GoalView:
     def load_of(self, nodal: np.ndarray) -> np.ndarray:
         """A functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative coordinates."""
         return self.posed.discrete.relative_forces(np.asarray(nodal, dtype=np.float64).reshape(-1))
-
-    def shape_integrals(self, facets: np.ndarray) -> np.ndarray:
-        """Integrals (n, dim) of the shape functions of the corners of facets."""
-        points = self.posed.mesh.points
-        measures = np.linalg.norm(area_vectors(points, facets), axis=1)
-        return measures[:, None] * shape_integrals(points, facets, self.bubbles.axisymmetric)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,8 +269,8 @@ def _friction_work(view: GoalView) -> np.ndarray:
     traction = np.zeros((mesh.n_nodes, mesh.dim))
     traction[given.node] = share[:, None] * from_frames(given.frames[:, 1:], given.traction)
     for name in given.names:
-        facets = named_facets(mesh, name)
-        result += view.bubbles.boundary_work(facets, traction[facets])
+        surface = mesh.surface(name)
+        result += view.bubbles.boundary_work(surface, traction[surface.facets])
     return result
 
 
@@ -290,10 +283,10 @@ def _master_work(view: GoalView, reaction: np.ndarray) -> np.ndarray:
     # at fixed dofs they are reactions of supports
     forces = np.where(discrete.fixed, 0.0, discrete.physical_forces(reaction)).reshape(-1, mesh.dim)
     for name in dict.fromkeys(filter(None, view.posed.problem.masters)):
-        facets = named_facets(mesh, name)
-        mass = np.bincount(facets.ravel(), weights=view.shape_integrals(facets).ravel(), minlength=mesh.n_nodes)
+        surface = mesh.surface(name)
+        mass = surface.lumped(view.bubbles.axisymmetric)
         traction = np.divide(forces, mass[:, None], out=np.zeros_like(forces), where=mass[:, None] > 0)
-        result += view.bubbles.boundary_work(facets, traction[facets])
+        result += view.bubbles.boundary_work(surface, traction[surface.facets])
     return result
 
 

@@ -22,8 +22,8 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.estimate.goal import Functional, GoalView
+from adaptmg.mesh.arrays import Surface
 from adaptmg.mesh.bisection.onto_domain import curved_boundaries, on_surface
 from adaptmg.problem import ContactPair
 from adaptmg.transfer import PointLocator
@@ -104,9 +104,9 @@ class Displacement:
         return result
 
 
-def _integrals(view: GoalView, facets: np.ndarray) -> np.ndarray:
+def _integrals(view: GoalView, surface: Surface) -> np.ndarray:
     """Integrals (n_edges,) of the bubbles over facets."""
-    return view.bubbles.boundary_work(facets, np.ones((*facets.shape, 1)))[:, 0]
+    return view.bubbles.boundary_work(surface, np.ones((*surface.facets.shape, 1)))[:, 0]
 
 
 def _place(point: Sequence[float]) -> str:
@@ -138,12 +138,12 @@ class MeanDisplacement:
     def functionals(self, view: GoalView) -> list[Functional]:
         """One functional."""
         mesh = view.posed.mesh
-        k, facets = _axis("component", self.component, mesh.dim), named_facets(mesh, self.boundary)
-        shares = view.shape_integrals(facets)
+        k, surface = _axis("component", self.component, mesh.dim), mesh.surface(self.boundary)
+        shares = surface.shape_integrals(view.bubbles.axisymmetric)
         size = shares.sum()
         nodal, bubbles = np.zeros(mesh.points.shape), np.zeros((len(view.bubbles.edges), mesh.dim))
-        np.add.at(nodal[:, k], facets, shares / size)
-        bubbles[:, k] = _integrals(view, facets) / size
+        np.add.at(nodal[:, k], surface.facets, shares / size)
+        bubbles[:, k] = _integrals(view, surface) / size
         value = float(np.sum(nodal * view.posed.result.displacement))
         return [Functional(f"mean u_{'xyz'[k]} on {self.boundary!r}", value, "m", view.load_of(nodal), bubbles)]
 
@@ -261,19 +261,19 @@ class Opening:
         mine, sign = _contact_mask(view, self.boundary)
         if sign < 0:
             raise ValueError(f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps")
-        of_boundary = {k: named_facets(mesh, result.names[k]) for k in np.unique(result.boundary[mine])}
-        facets = np.concatenate(list(of_boundary.values()))
+        of_boundary = {k: mesh.surface(result.names[k]) for k in np.unique(result.boundary[mine])}
+        every = Surface(mesh.points, np.concatenate([one.facets for one in of_boundary.values()]))
         masters = 0.0
         if self.point is None:
             weights = np.where(mine, result.weights, 0.0)
             weights = weights / weights.sum()
-            mean, size = float(weights @ result.gap), view.shape_integrals(facets).sum()
-            bubbles = _integrals(view, facets) / size
+            mean, size = float(weights @ result.gap), every.shape_integrals(view.bubbles.axisymmetric).sum()
+            bubbles = _integrals(view, every) / size
             name = f"mean opening of {self.boundary!r}"
             geometry = sum(_chords(view, k, own, mean) for k, own in of_boundary.items()) / size
             masters = sum(_of_master(view, k) for k in of_boundary) / size
         else:
-            weights, bubbles = self._at_point(view, facets)
+            weights, bubbles = self._at_point(view, every.facets)
             geometry = bubbles * sum(_bumps(view, k, own) for k, own in of_boundary.items())
             name = f"opening of {self.boundary!r} at {_place(self.point)}"
         sigma = 1.0 if view.posed.discrete.exchange is None else np.abs(view.posed.discrete.exchange.sigma)
@@ -322,32 +322,26 @@ def _ends(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (facets[:, :1], facets[:, 1:]) if facets.shape[1] == 2 else (facets, np.roll(facets, -1, axis=1))
 
 
-def _normals(view: GoalView, facets: np.ndarray) -> np.ndarray:
-    """Unit normals (n, dim) of facets."""
-    vectors = area_vectors(view.posed.mesh.points, facets)
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
-def _faced(view: GoalView, k: int) -> np.ndarray:
-    """Facets (n, dim) of the master of pair k whose nodes are all faced by contact nodes."""
-    result = view.posed.result.contact
-    facets = named_facets(view.posed.mesh, result.masters[k])
-    return facets[np.isin(facets, result.master_node[result.master_boundary == k]).all(axis=1)]
+def _faced(view: GoalView, k: int) -> Surface:
+    """Facets of the master of pair k whose nodes are all faced by contact nodes."""
+    result, mesh = view.posed.result.contact, view.posed.mesh
+    facets = mesh.surface(result.masters[k]).facets
+    return Surface(mesh.points, facets[np.isin(facets, result.master_node[result.master_boundary == k]).all(axis=1)])
 
 
 def _of_master(view: GoalView, k: int) -> np.ndarray | float:
     """By how much the bubbles (n_edges, dim) of the master of contact boundary k, moving outwards, close the gap."""
     if not view.posed.result.contact.masters[k]:
         return 0.0
-    facets = _faced(view, k)
-    return view.bubbles.boundary_work(facets, np.repeat(_normals(view, facets)[:, None], facets.shape[1], axis=1))
+    faced = _faced(view, k)
+    return view.bubbles.boundary_work(faced, np.repeat(faced.normals[:, None], faced.facets.shape[1], axis=1))
 
 
-def _middles(view: GoalView, name: str, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _middles(view: GoalView, name: str, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
     """Middles (n, n_edges, dim) of the edges of facets, on the curve, and how far (n, n_edges) out of the chord, m."""
-    points, (a, b) = view.posed.mesh.points, _ends(facets)
+    points, (a, b) = surface.points, _ends(surface.facets)
     middle = places = 0.5 * (points[a] + points[b])
-    normals = np.repeat(_normals(view, facets)[:, None], a.shape[1], axis=1)
+    normals = np.repeat(surface.normals[:, None], a.shape[1], axis=1)
     curved = curved_boundaries(view.posed.problem.domain)
     if name in curved:
         flat = (-1, points.shape[1])
@@ -356,43 +350,43 @@ def _middles(view: GoalView, name: str, facets: np.ndarray) -> tuple[np.ndarray,
     return places, np.einsum("npd,npd->np", places - middle, normals)
 
 
-def _middle_gaps(view: GoalView, k: int, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _middle_gaps(view: GoalView, k: int, surface: Surface) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gaps (n_nodes,), middles of the edges of facets of contact boundary k, and gaps (n, n_edges) there. A node
     without a condition makes them NaN."""
     contact, result, mesh = view.posed.problem.contact[k], view.posed.result.contact, view.posed.mesh
     gap, normal = np.full((2, mesh.n_nodes), np.nan)
     gap[result.node], normal[result.node] = result.gap, result.u_n
-    middles, out = _middles(view, contact.boundary, facets)
-    a, b = _ends(facets)
+    middles, out = _middles(view, contact.boundary, surface)
+    a, b = _ends(surface.facets)
     if isinstance(contact, ContactPair):
         # gaps that the user gives do not depend on the curve
         between = 0.5 * (gap[a] + gap[b]) - (out if contact.gap is None else 0.0)
     else:
-        flat, normals = (-1, mesh.dim), np.repeat(_normals(view, facets)[:, None], a.shape[1], axis=1)
+        flat, normals = (-1, mesh.dim), np.repeat(surface.normals[:, None], a.shape[1], axis=1)
         _, first = contact.obstacle.contact(middles.reshape(flat), normals.reshape(flat))
         between = np.reshape(first, a.shape) - 0.5 * (normal[a] + normal[b])
     # where bodies touch at both ends they do so between
     return gap, middles, np.maximum(between, 0.0)
 
 
-def _bumps(view: GoalView, k: int, facets: np.ndarray) -> np.ndarray:
+def _bumps(view: GoalView, k: int, surface: Surface) -> np.ndarray:
     """By how much (n_edges,) the gap in the middle of an edge of contact boundary k exceeds that of its nodes, m."""
-    gap, _, between = _middle_gaps(view, k, facets)
-    a, b = _ends(facets)
+    gap, _, between = _middle_gaps(view, k, surface)
+    a, b = _ends(surface.facets)
     result = np.zeros(len(view.bubbles.edges))
-    result[view.bubbles.of_facets(facets)] = np.nan_to_num(between - 0.5 * (gap[a] + gap[b]))
+    result[view.bubbles.of_facets(surface.facets)] = np.nan_to_num(between - 0.5 * (gap[a] + gap[b]))
     return result
 
 
-def _chords(view: GoalView, k: int, facets: np.ndarray, mean: float) -> np.ndarray:
+def _chords(view: GoalView, k: int, surface: Surface, mean: float) -> np.ndarray:
     """What the curves of contact boundary k change in a mean, times the size of the boundary, by edges (n_edges,)."""
-    gap, middles, between = _middle_gaps(view, k, facets)
-    result = _halved(view, facets, middles, gap[facets] - mean, between - mean)
+    gap, middles, between = _middle_gaps(view, k, surface)
+    result = _halved(view, surface.facets, middles, gap[surface.facets] - mean, between - mean)
     master = view.posed.result.contact.masters[k]
     if master and view.posed.problem.contact[k].gap is None:
         faced = _faced(view, k)
         middles, out = _middles(view, master, faced)
-        result += _halved(view, faced, middles, np.zeros(faced.shape), -out)
+        result += _halved(view, faced.facets, middles, np.zeros(faced.facets.shape), -out)
     return result
 
 
@@ -405,9 +399,8 @@ def _halved(view: GoalView, facets: np.ndarray, middles: np.ndarray, corners: np
     values = np.concatenate([corners, between], axis=1)
 
     def integrals(part: list[int]) -> np.ndarray:
-        cells = table[:, part]
-        areas = np.linalg.norm(area_vectors(points, cells), axis=1)
-        return areas * np.sum(shape_integrals(points, cells, view.bubbles.axisymmetric) * values[:, part], axis=1)
+        cells = Surface(points, table[:, part])
+        return cells.measures * np.sum(cells.shares(view.bubbles.axisymmetric) * values[:, part], axis=1)
 
     parts = [[0, 2], [2, 1]] if dim == 2 else [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
     change = sum(map(integrals, parts)) - integrals(list(range(dim)))

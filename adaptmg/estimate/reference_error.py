@@ -21,8 +21,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.facets import boundary_supports, supported_nodes
 from adaptmg.discrete.loads import load_vector, supported_stiffness
+from adaptmg.discrete.supports import boundary_supports, supported_nodes
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.estimate.stress_fields import posed
 from adaptmg.hierarchy import Hierarchy

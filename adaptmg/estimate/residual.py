@@ -28,12 +28,13 @@ import numpy as np
 from adaptmg._blas import one_blas_thread
 from adaptmg._numba import kernel
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.discrete.facets import area_vectors, boundary_supports, named_facets
 from adaptmg.discrete.loads import body_elements, foundation, load_density
+from adaptmg.discrete.supports import boundary_supports
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, Posed, contact_tractions, posed
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_points, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import Surface
 from adaptmg.problem.loads import BodyForce, Load, Pressure, Spring, Traction
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
@@ -71,14 +72,13 @@ class Residual:
                         terms={name: part.sum() for name, part in parts.items()})
 
 
-def _facet_weights(points: np.ndarray, facets: np.ndarray, axisymmetric: bool) -> tuple[np.ndarray, np.ndarray]:
+def _facet_weights(surface: Surface, axisymmetric: bool) -> tuple[np.ndarray, np.ndarray]:
     """Barycentric points (n_points, dim) and weights (n, n_points), m or m^2, exact for products of linear functions.
     In axisymmetry these products times 2 pi r."""
-    rule, weights = quadrature_rule(facets.shape[1], PLAIN_DEGREE)
-    measure = np.linalg.norm(area_vectors(points, facets), axis=1)
-    result = measure[:, None] * weights
+    rule, weights = quadrature_rule(surface.facets.shape[1], PLAIN_DEGREE)
+    result = surface.measures[:, None] * weights
     if axisymmetric:
-        result = result * (2 * np.pi * (points[facets, 0] @ rule.T))
+        result = result * (2 * np.pi * (surface.points[surface.facets, 0] @ rule.T))
     return rule, result
 
 
@@ -94,11 +94,9 @@ def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
         outside = outer[here]
         if not outside.any():
             continue
-        facets, elements = mesh.facets[here], near.owner[here]
-        vectors = area_vectors(mesh.points, facets)
-        measure = np.linalg.norm(vectors, axis=1)
-        normals = vectors / measure[:, None]
-        rule, weights = _facet_weights(mesh.points, facets, stress.axisymmetric)
+        surface, elements = mesh.surface(name), near.owner[here]
+        facets, normals = surface.facets, surface.normals
+        rule, weights = _facet_weights(surface, stress.axisymmetric)
         residual = -stress.tractions(elements, normals, facets, rule)
         for load in this.problem.loads:
             if isinstance(load, Pressure | Traction) and load.boundary == name:
@@ -113,7 +111,7 @@ def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
         for support in supports:
             if support.boundary == name:
                 residual[:, :, [part is not None for part in support.components(mesh.dim)]] = 0.0
-        sizes = measure if mesh.dim == 2 else np.sqrt(2 * measure)
+        sizes = surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures)
         squares = sizes / this.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
         into = contact if name in touching else plain
         into += np.bincount(elements, weights=np.where(outside, squares, 0.0), minlength=len(into))
@@ -136,14 +134,14 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     limits, tractions = _friction(this, opens)
     slips = from_frames(contact.frames[:, 1:], contact.slip)
     for k, name in enumerate(contact.names):
-        facets = named_facets(mesh, name)
+        surface = mesh.surface(name)
         mine = np.flatnonzero(contact.boundary == k)
         # a node without a condition of this boundary adds nothing: the last entries
         index = np.full(mesh.n_nodes, len(mine))
         index[contact.node[mine]] = np.arange(len(mine))
         pressure, gap, limit, traction, slip = (
-            _padded(values[mine])[index[facets]] for values in (pressures, gaps, limits, tractions, slips))
-        rule, weights = _facet_weights(mesh.points, facets, this.stress.axisymmetric)
+            _padded(values[mine])[index[surface.facets]] for values in (pressures, gaps, limits, tractions, slips))
+        rule, weights = _facet_weights(surface, this.stress.axisymmetric)
         mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
         slip_part = (np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))

@@ -28,12 +28,11 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.discrete.elasticity import body_materials
-from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.examine import energy_norm, euclidean_norm
@@ -326,11 +325,8 @@ def contact_tractions(mesh: MeshArrays, contact: ContactResult, axisymmetric: bo
 
 def _on_surface(mesh: MeshArrays, contact: ContactResult, name: str, on_slave: np.ndarray, axisymmetric: bool
                 ) -> SurfaceTraction:
-    facets = named_facets(mesh, name)
-    nodes, place = np.unique(facets, return_inverse=True)
-    place, vectors = place.reshape(facets.shape), area_vectors(mesh.points, facets)
-    share = np.linalg.norm(vectors, axis=1)[:, None] * shape_integrals(mesh.points, facets, axisymmetric)
-    mass = np.bincount(place.ravel(), weights=share.ravel(), minlength=len(nodes))
+    surface = mesh.surface(name)
+    nodes, mass = surface.nodes, surface.lumped(axisymmetric)[surface.nodes]
     force, filled = np.zeros((len(nodes), mesh.dim)), np.zeros(len(nodes), dtype=bool)
     for k, (slave, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
         if slave == name:
@@ -347,16 +343,16 @@ def _on_surface(mesh: MeshArrays, contact: ContactResult, name: str, on_slave: n
             filled[at] = True
     values = np.divide(force, mass[:, None], out=np.zeros_like(force), where=mass[:, None] > 0)
     if name in contact.names and not filled.all():
-        _continue(contact, nodes, place, vectors, filled, values)
-    return SurfaceTraction(facets, nodes, values)
+        _continue(contact, surface, filled, values)
+    return SurfaceTraction(surface.facets, nodes, values)
 
 
-def _continue(contact: ContactResult, nodes: np.ndarray, place: np.ndarray, vectors: np.ndarray, filled: np.ndarray,
-              values: np.ndarray) -> None:
+def _continue(contact: ContactResult, surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
     """Fill ``values`` in at nodes that belong to another contact boundary; elsewhere nothing touches."""
+    nodes, place = surface.nodes, np.searchsorted(surface.nodes, surface.facets)
     for i in np.flatnonzero(~filled & np.isin(nodes, contact.node)):
         here = (place == i).any(axis=1)
-        normal = vectors[here].sum(axis=0)
+        normal = surface.vectors[here].sum(axis=0)
         j = int(np.argmax(contact.node == nodes[i]))
         if normal @ contact.normal[j] > _STRAIGHT * np.linalg.norm(normal):
             values[i] = contact.force[j] / contact.weights[j]

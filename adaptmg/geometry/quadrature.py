@@ -51,6 +51,15 @@ def quadrature_points(points: np.ndarray, cells: np.ndarray, rule: np.ndarray) -
     return np.einsum("qk,ckd->cqd", rule, points[cells])
 
 
+def integration(points: np.ndarray, cells: np.ndarray, measures: np.ndarray, axisymmetric: bool
+                ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Barycentric points, their positions in cells of these measures, and weights (n_cells, n); in axisymmetry times
+    2 pi r."""
+    rule, weights = quadrature_rule(cells.shape[1], AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE)
+    at, weights = quadrature_points(points, cells, rule), measures[:, None] * weights
+    return rule, at, weights * (2 * np.pi * at[:, :, 0]) if axisymmetric else weights
+
+
 def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1."""
     from scipy.special import roots_jacobi  # a first solve without it starts sooner

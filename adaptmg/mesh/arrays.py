@@ -193,6 +193,20 @@ class MeshArrays:
         """Sorted node numbers of a named boundary."""
         return np.unique(self.boundary_facets(boundary))
 
+    def surface(self, boundary: str) -> Surface:
+        """A named boundary with its measures and normals; ValueError if it does not exist, or has no facets."""
+        if boundary not in self._surfaces:
+            facets = self.boundary_facets(boundary)
+            if not len(facets):
+                raise ValueError(f"boundary {boundary!r} has a name in the mesh but no facets: was its label lost in "
+                                 "meshing?")
+            self._surfaces[boundary] = Surface(self.points, facets)
+        return self._surfaces[boundary]
+
+    @cached_property
+    def _surfaces(self) -> dict[str, Surface]:
+        return {}
+
     @cached_property
     def element_sizes(self) -> np.ndarray:
         """Longest edge of each element (n_elements,), m."""
@@ -203,6 +217,74 @@ class MeshArrays:
         """Signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
         return np.concatenate(in_parts(_measures_of_part, len(self.elements), 8 * len(self.elements), self.points,
                                        self.elements))
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    r"""Facets, and what follows from where they lie, computed when it is first read.
+
+    The area vector of a facet is its measure times its outward unit normal: in 2D the edge (a, b) turned by -90
+    degrees, in 3D :math:`\tfrac12 (b - a) \times (c - a)`. A node has the average normal
+    :math:`n_i = \sum_F a_F \big/ \big|\sum_F a_F\big|` of the area vectors of the facets there.
+    """
+
+    points: np.ndarray  # (n_nodes, dim): those of the whole mesh, m
+    facets: np.ndarray  # (n, dim) int: oriented as in MeshArrays
+
+    @cached_property
+    def nodes(self) -> np.ndarray:
+        """Nodes of the facets, ascending."""
+        return np.unique(self.facets)
+
+    @cached_property
+    def vectors(self) -> np.ndarray:
+        """Area vectors (n, dim)."""
+        corners = self.points[self.facets]
+        first = corners[:, 1] - corners[:, 0]
+        if self.points.shape[1] == 2:
+            return np.column_stack([first[:, 1], -first[:, 0]])
+        return 0.5 * np.cross(first, corners[:, 2] - corners[:, 0])
+
+    @cached_property
+    def measures(self) -> np.ndarray:
+        """Lengths (n,), m, or areas, m^2."""
+        return np.linalg.norm(self.vectors, axis=1)
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Unit normals (n, dim) of the facets."""
+        return self.vectors / self.measures[:, None]
+
+    @cached_property
+    def node_normals(self) -> np.ndarray:
+        """Average unit normals (n_nodes, dim), 0 at other nodes; ValueError where the facets at a node cancel."""
+        total, measure, nodes = np.zeros(self.points.shape), np.zeros(len(self.points)), self.nodes
+        for corner in self.facets.T:
+            np.add.at(total, corner, self.vectors)
+            np.add.at(measure, corner, self.measures)
+        lengths = np.linalg.norm(total[nodes], axis=1)
+        if not (lengths > 1e-8 * measure[nodes]).all():
+            i = nodes[int(np.argmin(lengths / measure[nodes]))]
+            raise ValueError(f"the surface has no normal at node {i} {tuple(self.points[i].tolist())}: its facets "
+                             "there cancel; split the boundary")
+        total[nodes] /= lengths[:, None]
+        return total
+
+    def shares(self, axisymmetric: bool) -> np.ndarray:
+        """Means (n, dim) of the shape functions of the corners over each facet; in axisymmetry times 2 pi r."""
+        if not axisymmetric:
+            return np.full(self.facets.shape, 1.0 / self.points.shape[1])
+        r = self.points[self.facets, 0]
+        return 2 * np.pi * (r + r.sum(axis=1, keepdims=True)) / 6
+
+    def shape_integrals(self, axisymmetric: bool) -> np.ndarray:
+        """Integrals (n, dim) of the same."""
+        return self.measures[:, None] * self.shares(axisymmetric)
+
+    def lumped(self, axisymmetric: bool) -> np.ndarray:
+        """Integrals (n_nodes,) of the shape functions of all nodes."""
+        return np.bincount(self.facets.ravel(), weights=self.shape_integrals(axisymmetric).ravel(),
+                           minlength=len(self.points))
 
 
 def _check_shapes(mesh: MeshArrays) -> None:

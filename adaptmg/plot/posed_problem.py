@@ -21,7 +21,7 @@ from matplotlib.path import Path
 from mpl_toolkits.mplot3d import Axes3D
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.facets import supported_nodes
+from adaptmg.discrete.supports import supported_nodes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.domains import in_edges
 from adaptmg.plot import style

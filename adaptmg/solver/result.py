@@ -17,7 +17,6 @@ from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
 from adaptmg._on_demand import made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
-from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, as_tensors, von_mises
@@ -408,9 +407,8 @@ class Result:
         """The part of each reaction (n_nodes, dim) that the support on a boundary carries."""
         own, total = np.zeros_like(self.reaction), np.zeros_like(self.reaction)
         for name, components in self.supports.items():
-            facets = self.mesh.boundary_facets(name)
-            area = np.linalg.norm(area_vectors(self.mesh.points, facets), axis=1)
-            at = np.bincount(facets.ravel(), np.repeat(area, self.dim), minlength=len(total))
+            surface = self.mesh.surface(name)
+            at = np.bincount(surface.facets.ravel(), np.repeat(surface.measures, self.dim), minlength=len(total))
             held = at[:, None] * [c in components for c in "xyz"[:self.dim]]
             total += held
             if name == boundary:

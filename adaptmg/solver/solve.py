@@ -19,10 +19,10 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
 from adaptmg._text import say
-from adaptmg.discrete.facets import held_components
 from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
+from adaptmg.discrete.supports import held_components
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise_on_problem, advise_on_result, once

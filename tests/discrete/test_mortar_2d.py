@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mortar import mortar_2d, node_to_node
+from mortar import mortar_2d, node_normals, node_to_node, surfaces
 from refused import refused
 from uncompiled import uncompile
 
 from adaptmg.discrete.mortar import pairs
 from adaptmg.discrete.mortar import segments as module
-from adaptmg.discrete.mortar.interface import NEVER_FACING, Surfaces, surface_normals
+from adaptmg.discrete.mortar.interface import NEVER_FACING
 from adaptmg.geometry import search
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
@@ -27,7 +27,7 @@ def two(slave, master, *, closed=False, seed=None):
         start += len(chain)
     if seed is not None:
         facets = [np.random.default_rng(seed).permutation(one) for one in facets]
-    return points, *facets, surface_normals(points, facets[0])
+    return points, *facets, node_normals(points, facets[0])
 
 
 def line(x, y=0.0, *, up=False):
@@ -97,7 +97,7 @@ class TestFlat:
         points, slave, master, _ = two(line(xs, gap or 0.0), line(xm, up=True), seed=seed)
         angle, shift = (rng.uniform(-1.2, 1.2), 0.0) if axisymmetric else (rng.uniform(0, 6), rng.uniform(-3, 3, 2))
         points = moved(points, angle, shift)
-        data = points, slave, master, surface_normals(points, slave)
+        data = points, slave, master, node_normals(points, slave)
         parts = covered_parts(xs, xm)
         kept = [p for p in parts if carries[(k := np.searchsorted(xs, p.mean())) - 1] or carries[k]]
         if not kept:
@@ -162,7 +162,7 @@ def test_reach_and_depth():
 test_refused = refused(
     (lambda: mortar_2d(POINTS, SLAVE[:, ::-1], MASTER, NORMALS), r"point out of the slave body; that of node 1 .* Rev"),
     (lambda: mortar_2d(POINTS, SLAVE, MASTER[:, ::-1], NORMALS), NEVER_FACING),
-    (lambda: mortar_2d(POINTS, SLAVE[:, ::-1], MASTER, surface_normals(POINTS, SLAVE[:, ::-1])), NEVER_FACING),
+    (lambda: mortar_2d(POINTS, SLAVE[:, ::-1], MASTER, node_normals(POINTS, SLAVE[:, ::-1])), NEVER_FACING),
     (lambda: mortar_2d(*DATA, reach=0.05), f"^{NEVER_FACING} within a reach of 0.05 m"),
     (lambda: mortar_2d(*DEEP), NEVER_FACING),
     # beyond the centre of curvature
@@ -180,7 +180,7 @@ test_refused = refused(
      [[-1, 0, -4], [-1, 0, -4], [0, 0, -1], [-1, 0, 0]])], ids=["lengths", "areas"])
 def test_normals_are_weighted_by_measures(points, facets, normals):
     size = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1)
-    np.testing.assert_allclose(surface_normals(np.array(points), np.array(facets)), normals / size, atol=1e-15)
+    np.testing.assert_allclose(node_normals(np.array(points), np.array(facets)), normals / size, atol=1e-15)
 
 
 def test_without_jit(monkeypatch):
@@ -247,15 +247,15 @@ class TestCurved:
         points = np.array([[0.0, 1.0], [1.0, 1.0], [2.5, rng.uniform(-0.3, 0.3)], [-1.5, rng.uniform(-0.3, 0.3)]])
         normals = np.zeros((4, 2))
         normals[:2] = np.column_stack([np.sin(tilt), -np.cos(tilt)])
-        surfaces = Surfaces(points, np.array([[0, 1]]), np.array([[2, 3]]), normals)
+        pair = surfaces(points, np.array([[0, 1]]), np.array([[2, 3]]), normals)
         for node in (2, 3):
-            s = module._projection(surfaces, np.array([[0, 1]]), np.array([node]))[0]
+            s = module._projection(pair, np.array([[0, 1]]), np.array([node]))[0]
             if s not in (0.0, 1.0):
                 ray, offset = normals[0] + s * (normals[1] - normals[0]), points[0] + [s, 0] - points[node]
                 scale = (1 + abs(s))**2
                 assert abs(ray[0] * offset[1] - ray[1] * offset[0]) < 3e-14 * scale
         s = rng.random((1, 3))
-        eta, distance = module._opposite(surfaces, np.array([[0, 1]]), np.array([[2, 3]]), s)
+        eta, distance = module._opposite(pair, np.array([[0, 1]]), np.array([[2, 3]]), s)
         for k in range(3):
             ray, x = normals[0] + s[0, k] * (normals[1] - normals[0]), np.array([s[0, k], 1.0])
             there = points[2] + eta[0, k] * (points[3] - points[2])
@@ -340,4 +340,4 @@ def test_a_node_on_the_axis(monkeypatch):
     points = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0], [0.0, 1.1], [0.0, -0.1], [1.0, -0.1]])
     slave, master = np.array([[0, 1], [1, 2]]), np.array([[5, 4], [4, 3]])
     with pytest.raises(ValueError, match=r"slave node 0 has no area"):
-        node_to_node(points, slave, master, surface_normals(points, slave), axisymmetric=True)
+        node_to_node(points, slave, master, node_normals(points, slave), axisymmetric=True)

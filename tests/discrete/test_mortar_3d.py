@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from mortar import mortar_3d, node_to_node
+from mortar import mortar_3d, node_normals, node_to_node
 from refused import refused
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 from uncompiled import uncompile
 
-from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.mortar import triangles
-from adaptmg.discrete.mortar.interface import NEVER_FACING, surface_normals
+from adaptmg.discrete.mortar.interface import NEVER_FACING
 from adaptmg.geometry import clipping as kernels
 from adaptmg.geometry import search
+from adaptmg.mesh.arrays import Surface
 
 DOWN, UP = False, True
 
@@ -41,12 +41,12 @@ def joined(slave, *masters):
 
 
 def couple(points, slave, master, **options):
-    return mortar_3d(points, slave, master, surface_normals(points, slave), **options)
+    return mortar_3d(points, slave, master, node_normals(points, slave), **options)
 
 
 def lumped(points, facets):
     """Integral of each shape function over a surface."""
-    areas = np.linalg.norm(area_vectors(points, facets), axis=1)
+    areas = Surface(points, facets).measures
     return np.bincount(facets.ravel(), np.repeat(areas / 3, 3), minlength=len(points))
 
 
@@ -64,7 +64,7 @@ def test_matching_meshes_give_the_identity(kind):
     top = square(80, 0, up=DOWN, z=0.1)
     points, slave, master = joined(top, (top[0] - [0, 0, 0.1], top[1][:, ::-1]))
     points = rigid(points, 0)
-    interface = kind(points, slave, master, surface_normals(points, slave))
+    interface = kind(points, slave, master, node_normals(points, slave))
     n = len(top[0])
     np.testing.assert_array_equal(interface.nodes, np.arange(n))
     np.testing.assert_allclose(interface.coupling[:, n:].toarray(), np.eye(n), atol=1e-12)
@@ -156,7 +156,7 @@ def test_closed_surfaces_are_covered_on_every_side():
         points, first, second = joined(slave, master)
         interface = couple(points, first, second)
         assert len(interface) == len(slave[0])
-        assert interface.weights.sum() == pytest.approx(np.linalg.norm(area_vectors(points, first), axis=1).sum())
+        assert interface.weights.sum() == pytest.approx(Surface(points, first).measures.sum())
         assert (sign * interface.gaps > 0).all()
         np.testing.assert_allclose(interface.gaps, 0.05 if sign > 0 else -0.055, atol=0.02)
 
@@ -217,7 +217,7 @@ def test_reach_and_depth(height, reach):
 
 def inward():
     points, slave, master = joined(square(10, 1, up=DOWN, z=0.1), square(10, 2, up=UP))
-    return mortar_3d(points, slave, master, -surface_normals(points, slave))
+    return mortar_3d(points, slave, master, -node_normals(points, slave))
 
 
 test_refused = refused(

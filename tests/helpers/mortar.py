@@ -2,17 +2,26 @@
 
 from adaptmg.discrete.mortar import pairs, segments, triangles
 from adaptmg.discrete.mortar.interface import Surfaces
+from adaptmg.mesh.arrays import Surface
 
-__all__ = ["mortar_2d", "mortar_3d", "node_to_node"]
-
-
-def mortar_2d(points, slave, master, normals, *, excluded=(), axisymmetric=False, reach=None):
-    return segments.mortar_2d(Surfaces(points, slave, master, normals, [*excluded], axisymmetric), reach)
+__all__ = ["mortar_2d", "mortar_3d", "node_normals", "node_to_node", "surfaces"]
 
 
-def mortar_3d(points, slave, master, normals, *, excluded=(), reach=None):
-    return triangles.mortar_3d(Surfaces(points, slave, master, normals, [*excluded]), reach)
+def node_normals(points, facets):
+    return Surface(points, facets).node_normals
 
 
-def node_to_node(points, slave, master, normals, *, excluded=(), axisymmetric=False):
-    return pairs.node_to_node(Surfaces(points, slave, master, normals, [*excluded], axisymmetric))
+def surfaces(points, slave, master, normals, *, excluded=(), axisymmetric=False):
+    return Surfaces(Surface(points, slave), Surface(points, master), normals, [*excluded], axisymmetric)
+
+
+def mortar_2d(*data, reach=None, **options):
+    return segments.mortar_2d(surfaces(*data, **options), reach)
+
+
+def mortar_3d(*data, reach=None, **options):
+    return triangles.mortar_3d(surfaces(*data, **options), reach)
+
+
+def node_to_node(*data, **options):
+    return pairs.node_to_node(surfaces(*data, **options))

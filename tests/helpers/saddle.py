@@ -7,8 +7,8 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg.discrete.elasticity import stiffness
-from adaptmg.discrete.facets import fixed_dofs
 from adaptmg.discrete.loads import load_vector
+from adaptmg.discrete.supports import fixed_dofs
 
 
 @dataclass

@@ -1,12 +1,9 @@
-r"""What couples the contact nodes of a slave surface to the surface of another body, and averaged nodal normals.
+r"""What couples the contact nodes of a slave surface to the surface of another body.
 
 The point opposite slave node j moves by :math:`\sum_k B_{jk} u_k`, a combination of the nodes of the master surface
 with :math:`\sum_k B_{jk} = 1`. Non-penetration of the bodies is then nodal,
 :math:`n_j\cdot(u_j - \sum_k B_{jk} u_k) \le g_j`, and a contact force on slave node j acts with the weights
 :math:`-B_{jk}` on the master (B. Wohlmuth, Acta Numerica 20, 2011, doi:10.1017/S0962492911000079).
-
-With the area vectors :math:`a_F` (length times normal in 2D, area times normal in 3D) of the facets F at node i the
-averaged normal is :math:`n_i = \sum_F a_F \big/ \big|\sum_F a_F\big|`.
 """
 
 from __future__ import annotations
@@ -16,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
-from adaptmg.discrete.facets import area_vectors
+from adaptmg.mesh.arrays import Surface
 
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
@@ -49,21 +46,18 @@ class MortarInterface:
 class Surfaces:
     """Two surfaces that are to be coupled."""
 
-    points: np.ndarray  # (n_nodes, dim): m
-    slave: np.ndarray  # (n, dim) int: facets, oriented outwards as in MeshArrays
-    master: np.ndarray  # (n, dim) int: facets of a body that shares no node with the slave's
+    slave_side: Surface
+    master_side: Surface  # of a body that shares no node with the slave's
     normals: np.ndarray  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
     excluded: np.ndarray = ()  # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
     axisymmetric: bool = False  # x is a radius; 2D only
-    slave_nodes: np.ndarray = field(init=False, repr=False)  # (n,): ascending
-    master_nodes: np.ndarray = field(init=False, repr=False)  # (n,): ascending
+    slave: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
+    master: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
     carries: np.ndarray = field(init=False, repr=False)  # (n_nodes,) bool
     size: float = field(init=False, repr=False)  # diagonal of the bounding box of both surfaces, m
 
     def __post_init__(self) -> None:
-        points = self.points
-        slave, master = (np.ascontiguousarray(value, dtype=np.int64) for value in (self.slave, self.master))
-        slave_nodes, master_nodes = np.unique(slave), np.unique(master)
+        points, slave_nodes, master_nodes = self.points, self.slave_side.nodes, self.master_side.nodes
         common = np.intersect1d(slave_nodes, master_nodes)
         if len(common):
             raise ValueError(f"slave and master surface share node {common[0]} {_place(points, common[0])}; they must "
@@ -75,15 +69,21 @@ class Surfaces:
             raise ValueError("every node of the slave surface is excluded, which leaves none to carry contact; take "
                              "the other surface as slave, or free some of its nodes")
         size = float(np.linalg.norm(np.ptp(points[np.r_[slave_nodes, master_nodes]], axis=0)))
-        for name, value in (("slave", slave), ("master", master), ("slave_nodes", slave_nodes),
-                            ("master_nodes", master_nodes), ("carries", carries), ("size", size)):
+        slave, master = (np.ascontiguousarray(one.facets, dtype=np.int64) for one in (self.slave_side,
+                                                                                      self.master_side))
+        for name, value in (("slave", slave), ("master", master), ("carries", carries), ("size", size)):
             object.__setattr__(self, name, value)
-        outward = np.einsum("fd,fkd->fk", area_vectors(points, slave), self.normals[slave])
+        outward = np.einsum("fd,fkd->fk", self.slave_side.vectors, self.normals[slave])
         if not (outward > 0).all():
             i = slave[outward <= 0][0]
             raise ValueError(f"normals must point out of the slave body; that of node {i} {_place(points, i)} does not "
                              "on one of its facets. Reverse the facets, or split the boundary where it has a sharp "
                              "corner")
+
+    @property
+    def points(self) -> np.ndarray:
+        """Those of the mesh (n_nodes, dim), m."""
+        return self.slave_side.points
 
     def depths(self, reach: float | None) -> tuple[float, float]:
         """How far behind and in front of the slave surface the master is looked for, m."""
@@ -112,26 +112,9 @@ def nothing_covered(covered: np.ndarray, reach: float | None, facet: str) -> str
 _SYMMETRY_TILT = np.cos(np.pi / 6)  # normals within 30 degrees of a plane of symmetry are put into it
 
 
-def surface_normals(points: np.ndarray, facets: np.ndarray, *, fixed: np.ndarray | None = None) -> np.ndarray:
-    """Unit normals at the nodes of a surface."""
-    vectors = area_vectors(points, facets)
-    measures = np.linalg.norm(vectors, axis=1)
-    total, measure = np.zeros(points.shape), np.zeros(len(points))
-    for corner in facets.T:
-        np.add.at(total, corner, vectors)
-        np.add.at(measure, corner, measures)
-    nodes = np.unique(facets)
-    lengths = np.linalg.norm(total[nodes], axis=1)
-    if not (lengths > 1e-8 * measure[nodes]).all():
-        i = nodes[int(np.argmin(lengths / measure[nodes]))]
-        raise ValueError(f"the surface has no normal at node {i} {tuple(points[i].tolist())}: its facets there "
-                         "cancel; split the boundary")
-    total[nodes] /= lengths[:, None]
-    return total if fixed is None else _along_symmetry_planes(total, nodes, fixed)
-
-
-def _along_symmetry_planes(normals: np.ndarray, nodes: np.ndarray, fixed: np.ndarray) -> np.ndarray:
-    """Normals without their components along fixed directions, where these are small; changed in place."""
+def slave_normals(slave: Surface, fixed: np.ndarray) -> np.ndarray:
+    """Average normals (n_nodes, dim) without their components along fixed directions, where these are small."""
+    normals, nodes = slave.node_normals.copy(), slave.nodes
     inside = np.where(fixed[nodes], 0.0, normals[nodes])
     lengths = np.linalg.norm(inside, axis=1)
     tilted = lengths > _SYMMETRY_TILT

@@ -24,11 +24,10 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.facets import area_vectors, named_facets, shape_integrals
-from adaptmg.discrete.mortar.interface import NEVER_FACING, MortarInterface, Surfaces, surface_normals
+from adaptmg.discrete.mortar.interface import NEVER_FACING, MortarInterface, Surfaces, slave_normals
 from adaptmg.discrete.mortar.segments import mortar_2d
 from adaptmg.discrete.mortar.triangles import mortar_3d
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.surfaces import ContactPair
 
 _ROUNDING = 1e-12  # of the bodies' size
@@ -39,14 +38,13 @@ _OFFSET = 1e-2  # of the shortest edge at a slave node: how far off its normal i
 def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, excluded: np.ndarray,
                    axisymmetric: bool) -> MortarInterface:
     """The interface of a pair."""
-    slave, master = named_facets(mesh, pair.slave), named_facets(mesh, pair.master)
+    slave, master = mesh.surface(pair.slave), mesh.surface(pair.master)
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
-        normals = surface_normals(mesh.points, slave, fixed=fixed)
-        surfaces = Surfaces(mesh.points, slave, master, normals, excluded, axisymmetric)
+        surfaces = Surfaces(slave, master, slave_normals(slave, fixed), excluded, axisymmetric)
         found = _coupled(pair, surfaces)
         # slave nodes of which the master covers too little
-        hanging = found.nodes[found.weights < _LEAST_COVERED * _lumped(surfaces)[found.nodes]]
+        hanging = found.nodes[found.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[found.nodes]]
         if 0 < len(hanging) < len(found) and pair.coupling == "mortar":
             found = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
@@ -55,14 +53,13 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
     if pair.gap is not None:
         gaps = checks.field(f"gap of {what}", pair.gap, mesh.points[found.nodes])
         # a row that slave nodes without a multiplier take part in measures their gaps with its own
-        silent = np.setdiff1d(slave, found.nodes)
+        silent = np.setdiff1d(slave.nodes, found.nodes)
         if len(silent):
             gaps = gaps - found.coupling[:, silent] @ checks.field(f"gap of {what}", pair.gap, mesh.points[silent])
     if not pair.allow_interference:
-        size = np.linalg.norm(np.ptp(mesh.points[np.union1d(slave, master)], axis=0))
-        tolerance = np.full(len(gaps), _ROUNDING * size)
+        tolerance = np.full(len(gaps), _ROUNDING * surfaces.size)
         if pair.gap is None:
-            tolerance += _facet_heights(mesh, slave)[found.nodes] + _facet_heights(mesh, master).max()
+            tolerance += _facet_heights(slave)[found.nodes] + _facet_heights(master).max()
             # the surfaces themselves must overlap, and not only a mean of their distance with weights of both signs
             tolerance[found.closest >= -tolerance] = np.inf
         wrong = np.flatnonzero(gaps < -tolerance)
@@ -81,23 +78,13 @@ def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
     return (mortar_2d if surfaces.points.shape[1] == 2 else mortar_3d)(surfaces, pair.reach)
 
 
-def _lumped(surfaces: Surfaces) -> np.ndarray:
-    """Integrals (n_nodes,) of the shape functions over the slave surface."""
-    measure = np.linalg.norm(area_vectors(surfaces.points, surfaces.slave), axis=1)
-    share = measure[:, None] * shape_integrals(surfaces.points, surfaces.slave, surfaces.axisymmetric)
-    return np.bincount(surfaces.slave.ravel(), weights=share.ravel(), minlength=len(surfaces.points))
-
-
-def _facet_heights(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
+def _facet_heights(surface: Surface) -> np.ndarray:
     """At nodes (n_nodes,) of a surface the largest height of a facet there under the arc, about, m; zero elsewhere."""
-    vectors = area_vectors(mesh.points, facets)
-    own = vectors / np.linalg.norm(vectors, axis=1)[:, None]
-    corners = mesh.points[facets]
+    corners = surface.points[surface.facets]
     length = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    averaged = surface_normals(mesh.points, facets)
-    result = np.zeros(mesh.n_nodes)
-    for corner in facets.T:
-        turn = np.linalg.norm(averaged[corner] - own, axis=1)
+    result = np.zeros(len(surface.points))
+    for corner in surface.facets.T:
+        turn = np.linalg.norm(surface.node_normals[corner] - surface.normals, axis=1)
         np.maximum.at(result, corner, 0.25 * length * turn)
     return result
 
@@ -108,12 +95,13 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     nodes = np.flatnonzero(surfaces.carries)
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
-    partner = surfaces.master_nodes[cKDTree(points[surfaces.master_nodes]).query(points[nodes])[1]]
+    facing = surfaces.master_side.nodes
+    partner = facing[cKDTree(points[facing]).query(points[nodes])[1]]
     apart, normal = points[partner] - points[nodes], normals[nodes]
     gaps = np.einsum("nd,nd->n", apart, normal)
     offset = np.linalg.norm(apart - gaps[:, None] * normal, axis=1)
     _check_partners(surfaces, nodes, partner, offset, _OFFSET * _shortest_edges(surfaces)[nodes])
-    weights = _lumped(surfaces)[nodes]
+    weights = surfaces.slave_side.lumped(surfaces.axisymmetric)[nodes]
     if not weights.min() > 0:
         raise ValueError(f"slave node {nodes[int(np.argmin(weights))]} has no area: its facets lie on the axis of "
                          "symmetry; end the boundary there")
@@ -127,7 +115,7 @@ def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, 
     points = surfaces.points
     vectors = np.zeros(points.shape)
     for corner in surfaces.master.T:
-        np.add.at(vectors, corner, area_vectors(points, surfaces.master))
+        np.add.at(vectors, corner, surfaces.master_side.vectors)
     facing = np.einsum("nd,nd->n", vectors[partner], surfaces.normals[nodes]) < 0
     if not facing.any():
         raise ValueError(f"{NEVER_FACING}: the normals of slave nodes and of their partners point the same way. Check "

@@ -37,7 +37,6 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.discrete.facets import area_vectors
 from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, nothing_covered
 from adaptmg.geometry.clipping import MOMENTS, ROOM, add_visible, clip, polygon_moments, separated
 from adaptmg.geometry.search import BoxTree
@@ -144,9 +143,8 @@ def _candidates(surfaces: Surfaces, frames: np.ndarray, backward: float, forward
     low[:, 2] -= backward
     high[:, 2] += forward
     slave, found = BoxTree(surfaces.points, surfaces.master).meeting(frames, origins, low, high)
-    vectors = area_vectors(surfaces.points, surfaces.master)
-    leaning = np.einsum("pd,pd->p", vectors[found], frames[slave, 2])
-    facing = leaning < -_GRAZING * np.linalg.norm(vectors, axis=1)[found]
+    leaning = np.einsum("pd,pd->p", surfaces.master_side.vectors[found], frames[slave, 2])
+    facing = leaning < -_GRAZING * surfaces.master_side.measures[found]
     start = np.cumsum(np.bincount(slave[facing] + 1, minlength=len(frames) + 1))
     return start, found[facing]
 
@@ -175,10 +173,9 @@ def _integrate(surfaces: Surfaces, parts: _Parts) -> MortarInterface:
     """MortarInterface from the common parts."""
     slave, n_nodes = surfaces.slave, len(surfaces.points)
     centroid, covariance, off = parts.means()
-    normal = area_vectors(surfaces.points, slave)
-    size = np.linalg.norm(normal, axis=1)
+    size = surfaces.slave_side.measures
     # areas on the slave facet instead of the plane
-    stretch = size / np.einsum("fd,fd->f", normal, parts.frames[:, 2])
+    stretch = size / np.einsum("fd,fd->f", surfaces.slave_side.vectors, parts.frames[:, 2])
     shape = _barycentric(parts.corners[..., :2], centroid)[0] * stretch[:, None]
     own = shape * parts.covered()[:, None]
     towards = np.linalg.solve(covariance, np.swapaxes(parts.corners[..., :2] - centroid[:, None], 1, 2))

@@ -1,8 +1,4 @@
-r"""Boundary facets by name, their area vectors, and the dofs that supports on them fix.
-
-The area vector of a facet is its measure (m, in 3D m^2) times its outward unit normal: in 2D the edge (a, b) turned by
--90 degrees, in 3D :math:`\tfrac12 (b - a) \times (c - a)`.
-"""
+"""The nodes and dofs that supports and springs hold."""
 
 from __future__ import annotations
 
@@ -16,31 +12,6 @@ from adaptmg.problem.loads import AnySupport, PointSpring, PointSupport, Support
 
 _AT_POINT = 1e-9  # of the size of the mesh: nodes nearer to a point lie at it
 _ALONG_AXIS = 1e-9
-
-
-def named_facets(mesh: MeshArrays, boundary: str) -> np.ndarray:
-    """Facets (n, dim) of a boundary; ValueError if the mesh has no such boundary, or no facets on it."""
-    facets = mesh.boundary_facets(boundary)
-    if not len(facets):
-        raise ValueError(f"boundary {boundary!r} has a name in the mesh but no facets: was its label lost in meshing?")
-    return facets
-
-
-def area_vectors(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Area vectors of facets."""
-    corners = points[facets]
-    first = corners[:, 1] - corners[:, 0]
-    if points.shape[1] == 2:
-        return np.column_stack([first[:, 1], -first[:, 0]])
-    return 0.5 * np.cross(first, corners[:, 2] - corners[:, 0])
-
-
-def shape_integrals(points: np.ndarray, facets: np.ndarray, axisymmetric: bool = False) -> np.ndarray:
-    r"""Integral of the shape function of each corner over the measure of its facet."""
-    if not axisymmetric:
-        return np.full(facets.shape, 1.0 / points.shape[1])
-    r = points[facets, 0]
-    return 2 * np.pi * (r + r.sum(axis=1, keepdims=True)) / 6
 
 
 def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -> int:
@@ -66,13 +37,12 @@ def supported_nodes(mesh: MeshArrays, support: AnySupport) -> np.ndarray:
     """Nodes (n,) that a support or spring holds."""
     if isinstance(support, PointSupport | PointSpring):
         return np.array([node_at(mesh, support.point, support.body)])
-    return np.unique(named_facets(mesh, support.boundary))
+    return mesh.surface(support.boundary).nodes
 
 
 def boundary_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Support]:
     """Supports that prescribe displacements on boundaries, planes of symmetry by the component that they prescribe."""
-    resolved = [_of_symmetry(mesh, one) if isinstance(one, Symmetry) else one for one in supports]
-    return [one for one in resolved if isinstance(one, Support)]
+    return [one for one in _resolved(mesh, supports) if isinstance(one, Support)]
 
 
 def held_components(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[str, str]:
@@ -84,9 +54,12 @@ def held_components(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[st
     return held
 
 
+def _resolved(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[AnySupport]:
+    return [_of_symmetry(mesh, one) if isinstance(one, Symmetry) else one for one in supports]
+
+
 def _of_symmetry(mesh: MeshArrays, symmetry: Symmetry) -> Support:
-    vectors = area_vectors(mesh.points, named_facets(mesh, symmetry.boundary))
-    along = np.abs(vectors) / np.linalg.norm(vectors, axis=1)[:, None]
+    along = np.abs(mesh.surface(symmetry.boundary).normals)
     axis = int(np.argmax(along[0]))
     if not along[:, axis].min() > 1 - _ALONG_AXIS:
         raise ValueError(f"symmetry on {symmetry.boundary!r}: the boundary must be plane and normal to a coordinate "
@@ -103,7 +76,7 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
     mask, all_values = np.zeros(mesh.points.size, dtype=bool), np.zeros(mesh.points.size)
     fixed, values = (array.reshape(mesh.points.shape) for array in (mask, all_values))
     origin = np.zeros(mesh.points.shape, dtype=np.int64)  # of fixed ones
-    supports = [_of_symmetry(mesh, one) if isinstance(one, Symmetry) else one for one in supports]
+    supports = _resolved(mesh, supports)
     for k, support in enumerate(supports):
         nodes = supported_nodes(mesh, support)
         for d, value in enumerate(support.components(mesh.dim)):
