@@ -1,7 +1,7 @@
 """Runs on workers of dask.distributed: on processes of this machine, or on a cluster of the user.
 
-A run is sent when a worker is free, so that the run of a worker that dies is identified. A run whose worker died is
-tried again. Results come back through dask: workers need no disk in common with this process.
+A run is sent when a worker is free, so that the run of a worker that dies is identified and tried again. Results come
+back through dask: workers need no disk in common with this process.
 
 This process decides that a run is over its time: the clock starts when the worker reports that the run begins. The run
 is cancelled, and dask's nanny kills the process, even one in compiled code, and starts another. A nanny also ends a
@@ -33,29 +33,15 @@ from distributed.deploy import Cluster
 from distributed.utils import sync
 
 from adaptmg import _checks as checks
-from adaptmg.study.execute import (
-    LOOK_S,
-    Execute,
-    Finished,
-    Order,
-    Point,
-    RunFunction,
-    Task,
-    UnfitWorker,
-    error_text,
-    identity,
-    perform,
-    readied,
-    sent,
-)
+from adaptmg.study import execute
+from adaptmg.study.execute import Execute, Finished, Order, Point, RunFunction, Task, UnfitWorker
 from adaptmg.study.processes import MOST_TRIES, local_cluster
 
 _log = logging.getLogger(__name__)
 
 #: seconds that a cluster may take to have a worker, and for a scheduler to answer
 PATIENCE_S, CONNECT_S = 60.0, 10.0
-_GONE = "the processes that compute runs ended, and dask does not start them again (is the system out of memory?); " \
-        "finished runs are stored: run the study again, with fewer workers"
+_GONE = "the processes of runs ended, and dask does not start them again: run the study again, with fewer workers"
 
 
 @contextmanager
@@ -75,8 +61,7 @@ def opened(workers: int | None, scheduler: str | Client | Cluster | None, runs: 
         try:
             client = Client(scheduler, set_as_default=False, timeout=CONNECT_S)
         except (OSError, TimeoutError, ValueError) as error:
-            raise OSError(f"scheduler: nobody answers at {scheduler}: start one with 'dask scheduler' ({error})") \
-                from error
+            raise OSError(f"scheduler: nobody answers at {scheduler}: start 'dask scheduler' ({error})") from error
         with client:
             yield OnCluster(client)
     else:
@@ -93,11 +78,10 @@ class OnCluster:
     @property
     def running(self) -> int:
         """Runs that are being computed."""
-        return 0 if self._runs is None else self._runs.running
+        return 0 if self._runs is None else len(self._runs.out)
 
     def __call__(self, task: Task, points: Iterator[Point | None]) -> Iterator[list[tuple[Point, Finished]]]:
-        """Compute ``task`` at ``points``."""
-        order = Order(sent(task.function), identity(), task.fingerprint.seen(), task.depends)
+        order = Order(execute.sent(task.function), execute.identity(), task.fingerprint.seen(), task.depends)
         check_workers(self._client, order, limited=task.limit_s is not None)
         self._runs = _Runs(self._client, order, points, task.limit_s)
         yield from self._runs.finished()
@@ -112,18 +96,13 @@ def check_workers(client: Client, order: Order, limited: bool) -> None:
             raise ValueError(f"the worker {name} has {worker['nthreads']} threads: start workers with one each ('dask "
                              f"worker {address} --nthreads 1 --nworkers N'), as libraries below are not safe for more")
         if limited and not worker["nanny"]:
-            raise ValueError(f"the worker {name} has no nanny, which would restart it after limit_s: "
-                             "start workers without --no-nanny")
-    for name, error in client.run(_check, order, on_error="return").items():
+            raise ValueError(f"the worker {name} has no nanny, which limit_s needs: start it without --no-nanny")
+    for name, error in client.run(execute.check, order, on_error="return").items():
         if isinstance(error, CommClosedError):
             _log.warning("the worker %s left during the check", name)
         elif error is not None:
-            words = error if isinstance(error, UnfitWorker) else error_text(error)
+            words = error if isinstance(error, UnfitWorker) else execute.error_text(error)
             raise RuntimeError(f"the worker {name} cannot compute this study: {words}")
-
-
-def _check(order: Order) -> None:
-    readied(order)
 
 
 def _wait_for_one(client: Client, address: str) -> None:
@@ -147,14 +126,14 @@ def _wait_for_one(client: Client, address: str) -> None:
 def _ready(order: bytes) -> tuple[RunFunction, bool]:
     """Return the run function of an order, checked, and whether it uses adaptmg."""
     unpacked = pickle.loads(order)
-    return readied(unpacked), unpacked.fingerprint.uses_adaptmg
+    return execute.readied(unpacked), unpacked.fingerprint.uses_adaptmg
 
 
 def _on_worker(order: bytes, point: Point, tries: int, name: str, topic: str) -> Finished:
     """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts. A function
     that holds Python's lock would keep a report that is only on its way."""
     worker = get_worker()
-    return perform(*_ready(order), point, tries, lambda: topic and sync(
+    return execute.perform(*_ready(order), point, tries, lambda: topic and sync(
         worker.loop, worker.scheduler.log_event, topic=topic, msg={"run": name, "worker": worker.address}))
 
 
@@ -186,27 +165,20 @@ class _Runs:
         self._left: deque[tuple[Point, int]] = deque()
         #: last tries, one at a time when all else is done: a worker that dies then dies because of the run
         self._alone: deque[tuple[Point, int]] = deque()
-        self._out: dict[str, _Run] = {}
+        self.out: dict[str, _Run] = {}
         self._back: queue.SimpleQueue[tuple[str, Finished | BaseException]] = queue.SimpleQueue()
         self._slots, self._looked = 1, -math.inf
-        #: workers that held too much memory
-        self._large: set[str] = set()
-
-    @property
-    def running(self) -> int:
-        """Number of runs that are out."""
-        return len(self._out)
+        self._large: set[str] = set()  # workers that held too much memory
 
     def finished(self) -> Iterator[list[tuple[Point, Finished]]]:
         """Yield runs as they finish, those of one moment together."""
         self._client.subscribe_topic("worker-restart-memory", lambda event: self._large.add(event[1]["worker"]))
-        if self._limit_s is not None:
-            self._client.subscribe_topic(self._name, self._begun)
+        self._client.subscribe_topic(self._name, self._begun)
         try:
             self._send()
-            while self._out or self._open:
-                if not self._out:  # other processes compute what is left
-                    time.sleep(LOOK_S)
+            while self.out or self._open:
+                if not self.out:  # other processes compute what is left
+                    time.sleep(execute.LOOK_S)
                     self._send()
                     continue
                 done = [row for name, result in self._come_back() if (row := self._outcome(name, result)) is not None]
@@ -218,17 +190,16 @@ class _Runs:
             with contextlib.suppress(Exception):  # the scheduler may be gone, and its client closed
                 self._drop()
                 self._client.unsubscribe_topic("worker-restart-memory")
-                if self._limit_s is not None:
-                    self._client.unsubscribe_topic(self._name)
+                self._client.unsubscribe_topic(self._name)
 
     def _drop(self) -> None:
         """Cancel the runs that are out; on a cluster that goes on, nannies restart the workers that compute them."""
-        if not self._out:
+        if not self.out:
             return
         # the scheduler does not know yet where a run of a moment ago is
         time.sleep(0.2)
-        busy = [address for address, keys in self._client.processing().items() if set(keys) & set(self._out)]
-        self._client.cancel([run.future for run in self._out.values()], force=True)
+        busy = [address for address, keys in self._client.processing().items() if set(keys) & set(self.out)]
+        self._client.cancel([run.future for run in self.out.values()], force=True)
         if busy:
             self._client.run(_kill_worker, nanny=True, workers=busy, on_error="ignore")
 
@@ -236,12 +207,12 @@ class _Runs:
         now = time.monotonic()
         if now - self._looked > 1.0:
             self._slots, self._looked = max(len(self._client.nthreads()), 1), now
-        while len(self._out) < self._slots and (task := self._next()) is not None:
+        while len(self.out) < self._slots and (task := self._next()) is not None:
             point, tries = task
             name = f"{self._name}-{next(self._numbers)}"
             future = self._client.submit(_on_worker, self._order, point, tries, name,
                                          self._name * (self._limit_s is not None), key=name, pure=False)
-            self._out[name] = _Run(point, tries, time.monotonic(), future)
+            self.out[name] = _Run(point, tries, time.monotonic(), future)
             future.add_done_callback(functools.partial(self._fetch, name))
 
     def _next(self) -> tuple[Point, int] | None:
@@ -250,7 +221,7 @@ class _Runs:
                 point = next(self._points)
                 return None if point is None else (point, 1)
             self._open = False
-        return self._left.popleft() if self._left else self._alone.popleft() if self._alone and not self._out else None
+        return self._left.popleft() if self._left else self._alone.popleft() if self._alone and not self.out else None
 
     def _fetch(self, name: str, future: Future) -> None:
         """Fetch what a run gave, in a thread of dask."""
@@ -262,12 +233,12 @@ class _Runs:
 
     def _begun(self, event: tuple[float, dict[str, str]]) -> None:
         """A worker reports that a run begins, perhaps again, as dask started it on another worker."""
-        if (run := self._out.get(event[1]["run"])) is not None:
+        if (run := self.out.get(event[1]["run"])) is not None:
             run.worker, run.began = event[1]["worker"], time.monotonic()
 
     def _stop_late(self) -> None:
         """Stop the runs that are over their time."""
-        for name, run in self._out.items():
+        for name, run in self.out.items():
             if self._limit_s is None or time.monotonic() - run.began < self._limit_s or run.future.done():
                 continue
             run.began = math.inf
@@ -285,7 +256,7 @@ class _Runs:
         while True:
             self._stop_late()
             try:
-                found = [self._back.get(timeout=LOOK_S if self._limit_s is None else min(LOOK_S, self._limit_s / 10))]
+                found = [self._back.get(timeout=min(execute.LOOK_S, (self._limit_s or math.inf) / 10))]
                 break
             except queue.Empty:
                 if time.monotonic() - begin < PATIENCE_S:
@@ -294,7 +265,7 @@ class _Runs:
             empty = 0 if self._client.nthreads() else empty + 1
             if empty:
                 _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
-                             len(self._out) + len(self._left) + len(self._alone))
+                             len(self.out) + len(self._left) + len(self._alone))
             if empty == MOST_TRIES and isinstance(self._client.cluster, LocalCluster):
                 raise OSError(_GONE)
         while not self._back.empty():
@@ -303,7 +274,7 @@ class _Runs:
 
     def _outcome(self, name: str, result: Finished | BaseException) -> tuple[Point, Finished] | None:
         """Return the outcome of a run; None if it is tried again, or was stopped."""
-        run = self._out.pop(name, None)
+        run = self.out.pop(name, None)
         if run is None:
             return None
         if isinstance(result, Finished):
@@ -326,4 +297,4 @@ class _Runs:
                           "stored") from result
         if isinstance(result, UnfitWorker | ImportError | AttributeError):
             raise RuntimeError(f"a worker that joined cannot compute this study: {result}") from result
-        return run.point, Finished(error=error_text(result), seconds=seconds, exception=result, tries=run.tries)
+        return run.point, Finished(error=execute.error_text(result), seconds=seconds, exception=result, tries=run.tries)

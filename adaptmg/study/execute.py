@@ -185,6 +185,11 @@ def readied(order: Order) -> RunFunction:
     return function
 
 
+def check(order: Order) -> None:
+    """Raise what :func:`readied` raises."""
+    readied(order)
+
+
 @cache
 def warm() -> None:
     """Compile the kernels of the default method, or read them from the cache, before a clock starts."""

@@ -136,7 +136,7 @@ def test_what_a_worker_lacks_and_another_adaptmg_are_told_at_once(cluster, tmp_p
 
     with pytest.raises(RuntimeError, match=r"worker tls.*no module 'only_here'"):
         Study(only_here.run, {"n": [1]}).run(progress=False, scheduler=cluster)
-    monkeypatch.setattr(executor, "identity", lambda: {"numpy": "1.0"})
+    monkeypatch.setattr(execute, "identity", lambda: {"numpy": "1.0"})
     with pytest.raises(RuntimeError, match=r"worker tls.*numpy .* instead of 1\.0"):
         Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=cluster)
 
@@ -401,7 +401,7 @@ def test_others_cannot_compute_in_the_processes(cluster):
 
 def _runs(**given):
     runs = object.__new__(executor._Runs)
-    vars(runs).update({"_out": {}, "_left": executor.deque(), "_alone": executor.deque(), "_limit_s": None,
+    vars(runs).update({"out": {}, "_left": executor.deque(), "_alone": executor.deque(), "_limit_s": None,
                        "_large": set(), "_back": executor.queue.SimpleQueue()} | given)
     return runs
 
@@ -410,7 +410,7 @@ def _runs(**given):
 def test_the_death_of_a_worker_is_not_a_time_limit(since):
     """Whenever it is reported: only a run that this process stopped is over its limit."""
     run = executor._Run({"n": 6}, 1, time.monotonic() - since, None)
-    runs = _runs(_limit_s=3.0, _out={"run": run})
+    runs = _runs(_limit_s=3.0, out={"run": run})
     assert runs._outcome("run", executor.KilledWorker("run", None, 0)) is None
     assert list(runs._left) == [({"n": 6}, 2)]
 
@@ -420,7 +420,7 @@ def test_a_study_waits_for_a_queue_but_not_for_processes_that_do_not_come_back(l
     from distributed.core import Status
 
     monkeypatch.setattr(executor, "PATIENCE_S", 0.02)
-    monkeypatch.setattr(executor, "LOOK_S", 0.01)
+    monkeypatch.setattr(execute, "LOOK_S", 0.01)
     looks = iter(range(20))
 
     def looked(look):
@@ -446,12 +446,12 @@ def test_a_clock_that_runs_out_stops_only_a_run_that_its_worker_computes(there):
     client = SimpleNamespace(processing=lambda: {"tcp://a": ("r-1",) if there else ()},
                              cancel=lambda *a, **k: None, run=lambda *a, **k: None)
     run = executor._Run({"n": 6}, 1, 0.0, SimpleNamespace(done=lambda: False), worker="tcp://a", began=0.0)
-    runs = _runs(_client=client, _out={"r-1": run}, _limit_s=1.0)
+    runs = _runs(_client=client, out={"r-1": run}, _limit_s=1.0)
     runs._stop_late()
     assert runs._back.empty() is not there
 
 
 def test_a_run_whose_worker_held_too_much_is_not_tried_again():
-    runs = _runs(_large={"tls://a"}, _out={"run": executor._Run({"n": 6}, 1, 0.0, None)})
+    runs = _runs(_large={"tls://a"}, out={"run": executor._Run({"n": 6}, 1, 0.0, None)})
     killed = executor.KilledWorker("run", SimpleNamespace(address="tls://a"), 0)
     assert runs._outcome("run", killed)[1].error.startswith("MemoryLimit")
