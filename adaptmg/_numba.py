@@ -65,7 +65,7 @@ class _Compiling(Listener):
     def on_start(self, event: Event) -> None:
         self.depth += 1
         if self.depth == 1:  # numba compiles in one thread at a time
-            if compiling_seconds() > 1.0 and event.data["dispatcher"].py_func.__module__.startswith("adaptmg."):
+            if compiling_seconds() > 1.0 and str(event.data["dispatcher"].py_func.__module__).startswith("adaptmg."):
                 _announce()
             self.begin, self.collects = time.perf_counter(), gc.isenabled()
             gc.disable()
