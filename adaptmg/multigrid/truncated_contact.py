@@ -77,9 +77,18 @@ class TruncatedContact:
 
     def start(self, unknowns: np.ndarray) -> None:
         """Take over unknowns (n_dofs,) that may penetrate; they are projected onto the admissible ones, in place."""
-        self.codes[:] = 0
+        codes, self.codes = self.codes, np.zeros_like(self.codes)
         self.project(unknowns)
-        self.codes[:] = -1
+        self.codes = codes
+
+    def way(self, unknowns: np.ndarray) -> float:
+        """The share of a change to unknowns (n_dofs,) at which its first open node closes, at most 1."""
+        n, dim = len(self.nodes), self.dim
+        normals, before = self.frames.reshape(n, dim, dim)[:, 0], self.values.reshape(n, dim)[:, 0]
+        change = np.einsum("nd,nd->n", normals, unknowns.reshape(-1, dim)[self.nodes]) - before
+        left = self.gap - before
+        closing = (self.codes & CLOSED == 0) & (change > left)
+        return float((left[closing] / change[closing]).min(initial=1.0))
 
     def update_status(self, residual: np.ndarray) -> tuple[int, float, float]:
         """Find the status after a sweep; ``residual`` is f - A u (n_dofs,). Returns what :func:`classify` does."""

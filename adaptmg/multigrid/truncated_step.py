@@ -22,7 +22,7 @@ from scipy import sparse
 
 from adaptmg._threads import sum_of_parts
 from adaptmg.multigrid import projected_sweeps
-from adaptmg.multigrid.linear_cycle import LinearCycle
+from adaptmg.multigrid.linear_cycle import LinearCycle, regular_matrix
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_contact import TruncatedContact
@@ -43,8 +43,8 @@ class StepState:
 class TruncatedStep:
     """Steps on level ``number`` of the levels of a linear cycle, with contact."""
 
-    #: of the interval in the search for the least energy
-    HALVINGS = 30
+    #: of the interval in the search for the least energy; the least part of a correction that is shortened
+    HALVINGS, LEAST = 30, 1e-3
 
     def __init__(self, cycle: LinearCycle, number: int, contact: TruncatedContact, load: np.ndarray,
                  unknowns: np.ndarray, depth: int, motions: RigidMotions | None = None,
@@ -56,7 +56,7 @@ class TruncatedStep:
                                      [level.prolongation for level in levels[1:]], contact)
         self.motions, self.depth = motions, depth
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
-        self._frozen = False
+        self._frozen: bool | None = False  # whether friction is frozen in the coarse matrices
         self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
 
     def measure(self, safe: bool = False, trusted: Callable[[np.ndarray], float] | None = None,
@@ -95,15 +95,18 @@ class TruncatedStep:
             self._frozen = frozen
         return StepState(changed, residual, float(np.sqrt(reactions)), energy)
 
-    def correct(self) -> float:
+    def correct(self, shorten: bool = False) -> float:
         """Correct, project and search; returns the energy of the coarse correction, N m. It estimates the energy of the
-        error that the correction removes."""
+        error that the correction removes. ``shorten``: up to where the first open node closes."""
         combined, load = self._recombined()
         # past iterates make up for what a cheaper cycle leaves
         correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
         energy, proposed, before = _product(load, correction), combined.copy(), self.contact.values.copy()
         self.level.prolong(correction, proposed)
         proposed[self.matrix.fixed] = 0.0
+        if shorten:
+            way = max(self.contact.way(proposed), self.LEAST)
+            proposed = self._unknowns + way * (proposed - self._unknowns)
         self.contact.project(proposed)
         if self._frozen:
             self._search(proposed, before)
@@ -112,6 +115,19 @@ class TruncatedStep:
         self._unknowns, self._corrected = proposed, True
         self.cycle.recorder.visit(self.number, "prolong")
         return energy
+
+    def move(self, change: np.ndarray) -> None:
+        """Add a change (n_dofs,) to the iterate, which is projected onto the admissible ones."""
+        self.unknowns = self.unknowns + change
+        self.contact.start(self.unknowns)
+
+    def base_matrix(self, number: int) -> sparse.bsr_array:
+        """The matrix of a coarser level without truncation, which the next linearisation makes again."""
+        self.truncation.restore()
+        self._frozen = None
+        level = self.cycle.levels[number].matrix
+        scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
+        return regular_matrix(level, np.where(scale > 0, scale, 1.0))
 
     def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> None:
         """Free what only further steps read, if it is much: half of the matrix, which is made again from the whole one,

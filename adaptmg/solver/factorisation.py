@@ -170,14 +170,39 @@ class _Singular(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Condensed:
-    """The Schur complement on the contact dofs and the way back; see the module for the formulas."""
+class Eliminated:
+    """The Schur complement on the dofs of some nodes and the way back; see the module for the formulas."""
+
+    factors: OrderedFactors | DenseFactors  # of M
+    contact: np.ndarray  # (n,) int: dofs of these nodes, n = n_nodes * dim
+    matrix: np.ndarray  # (n, n): S
+    shift: np.ndarray  # (n,): diagonal of Sigma at these dofs
+
+    def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        r"""Eliminate the interior from a residual; one solve."""
+        rhs = residual.copy()
+        rhs[self.contact] = 0.0
+        particular = self.factors.solve(rhs)
+        return particular, residual[self.contact] + self._stiffness(particular[self.contact])
+
+    def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+        r"""The solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve."""
+        rhs = np.zeros_like(particular)
+        rhs[self.contact] = self._stiffness(unknowns - particular[self.contact])
+        result = particular + self.factors.solve(rhs)
+        result[self.contact] = unknowns
+        return result
+
+    def _stiffness(self, unknowns: np.ndarray) -> np.ndarray:
+        """(S + Sigma) w_c: the right-hand side of M that makes w_c."""
+        return self.matrix @ unknowns + self.shift * unknowns
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed(Eliminated):
+    """A contact problem on its contact dofs."""
 
     full: LocalProblem  # what was condensed
-    factors: OrderedFactors | DenseFactors  # of M
-    contact: np.ndarray  # (n,) int: contact dofs, n = n_contact * dim
-    matrix: np.ndarray  # (n, n): S
-    shift: np.ndarray  # (n,): diagonal of Sigma at the contact dofs
 
     @property
     def regular(self) -> bool:
@@ -204,30 +229,16 @@ class Condensed:
         rest = self.full.load - self.full.system.matrix @ result
         return result + self.complete(self.reduce(rest)[0], np.zeros_like(unknowns))
 
-    def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        r"""Eliminate the interior from a residual; one solve."""
-        rhs = residual.copy()
-        rhs[self.contact] = 0.0
-        particular = self.factors.solve(rhs)
-        return particular, residual[self.contact] + self._stiffness(particular[self.contact])
-
-    def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
-        r"""The solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve."""
-        rhs = np.zeros_like(particular)
-        rhs[self.contact] = self._stiffness(unknowns - particular[self.contact])
-        result = particular + self.factors.solve(rhs)
-        result[self.contact] = unknowns
-        return result
-
-    def _stiffness(self, unknowns: np.ndarray) -> np.ndarray:
-        """(S + Sigma) w_c: the right-hand side of M that makes w_c."""
-        return self.matrix @ unknowns + self.shift * unknowns
-
 
 def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
-    """Condense a problem onto its contact nodes. ``lenient``: where the problem is singular with all contact dofs
-    fixed, dofs that depend on others stay at zero."""
-    system = local.system
+    """Condense a problem onto its contact nodes; see :func:`eliminate`."""
+    parts = eliminate(local.system, local.discrete.coordinates, lenient)
+    return Condensed(parts.factors, parts.contact, parts.matrix, parts.shift, local)
+
+
+def eliminate(system: LocalSystem, coordinates: np.ndarray | None, lenient: bool = False) -> Eliminated:
+    """Eliminate all but the contact nodes of a system. ``lenient``: where it is singular with all contact dofs fixed,
+    dofs that depend on others stay at zero."""
     dim = system.dim
     contact = dofs_of(system.nodes, dim)
     shift = np.abs(system.diagonal.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2)[system.nodes]).reshape(-1)
@@ -235,14 +246,14 @@ def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
         if system.n_dofs <= _DENSE:
             factors, schur = _eliminate_dense(system, contact, shift, lenient)
         else:
-            nodes = nested_dissection(node_graph(system.matrix), local.discrete.coordinates, last=system.nodes)
+            nodes = nested_dissection(node_graph(system.matrix), coordinates, last=system.nodes)
             factors, schur = _eliminate(_shifted(system, contact, shift), dofs_of(nodes, dim), contact)
     except _Singular:
         if not lenient or system.n_dofs > _DENSE_AT_MOST:
             raise
         factors, schur = _eliminate_dense(system, contact, shift, lenient)
     schur[np.diag_indices_from(schur)] -= shift
-    return Condensed(local, factors, contact, 0.5 * (schur + schur.T), shift)
+    return Eliminated(factors, contact, 0.5 * (schur + schur.T), shift)
 
 
 #: dofs up to which the condensation of a coarsest problem is remembered
@@ -254,15 +265,15 @@ def condense_coarsest(problem: DiscreteProblem) -> Condensed:
     """
     if problem.n_dofs > REMEMBERED:
         return condense(local_system(problem), lenient=True)
-    system, *parts = _eliminated(problem)
-    return Condensed(local_system(problem, system), *parts)
+    system, parts = _eliminated(problem)
+    return Condensed(parts.factors, parts.contact, parts.matrix, parts.shift, local_system(problem, system))
 
 
 @remembered_of_structure
-def _eliminated(problem: DiscreteProblem) -> tuple:
+def _eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
     """The system, and all of its condensation that does not hold the problem."""
-    found = condense(local_system(problem), lenient=True)
-    return found.full.system, found.factors, found.contact, found.matrix, found.shift
+    system = local_system(problem).system
+    return system, eliminate(system, problem.coordinates, lenient=True)
 
 
 def _blocks(matrix: np.ndarray, dim: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

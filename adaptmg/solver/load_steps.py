@@ -142,7 +142,7 @@ class TruncatedSteps:
 
     def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
             ) -> tuple[Outcome, list[np.ndarray] | None]:
-        multigrid, coarse, cold = self._kept(hierarchy, run), None, True
+        multigrid, coarse, cold = self._kept(hierarchy, run), None, not past.given
         if self.start is not None:
             *coarse, start = multigrid.increment(self.start, past.levels)
             cold = False

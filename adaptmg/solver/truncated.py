@@ -9,15 +9,18 @@ error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of 
 three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with the natural residual, which every
 smoothing leaves behind, it decides when to stop, without a further pass over a matrix.
 
-Cycles with frozen friction and a line search ("safe" ones) are taken while the contact status of a cold start changes,
-and twice as many where the residual no longer falls. If that does not help, the iteration has stalled.
+Where the contact status is not yet known (from zero, or while corrections are large) a contact problem on a coarse
+level comes before the cycle (:mod:`adaptmg.solver.coarse_contact`), and the linear correction ends where its first open
+node closes. Cycles with frozen friction and a line search ("safe" ones) are taken where the residual no longer falls.
+If that does not help, the iteration has stalled.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -33,6 +36,7 @@ from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_p
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.solver.active_set import coarsest_solution
+from adaptmg.solver.coarse_contact import CoarseContact
 from adaptmg.solver.examine import ROUNDING, Sizes
 from adaptmg.solver.factorisation import FACTORISED
 from adaptmg.solver.iterate import State, StopTest, iterate, true_error
@@ -42,7 +46,8 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 class TruncatedIteration(StopTest):
     """Cycles on one level, measured after the smoothing, and their test.
-    ``run`` asks the certificate and keeps the history. ``cold``: the contact status of the start is unknown.
+    ``run`` asks the certificate and keeps the history. ``cold``: the start is zero.
+    ``coarse`` makes the contact problem on a coarse level.
     ``nested`` is the start (n_dofs,) from which ``rtol="discretisation"`` is measured. ``hands_over``: end where the
     tolerance is out of reach at the present speed."""
 
@@ -63,16 +68,20 @@ class TruncatedIteration(StopTest):
     TROUBLE = 6
     #: cycles over which the speed is measured once there are twice as many, and the largest share of those left
     WINDOW, MOST = 12, 0.7
+    #: contact problems on a coarse level at most; a correction by the last, relative, below which there is no further
+    #: one; the linear correction above which there is one, and above which there is one if more than one status changed
+    MOVES, SMALL, LARGE, MIDDLE = 8, 3e-3, 0.03, 1e-3
 
     def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
                  run: Run | None = None, cold: bool = False, nested: np.ndarray | None = None,
-                 hands_over: bool = False) -> None:
+                 hands_over: bool = False, coarse: Callable[[], CoarseContact] | None = None) -> None:
         super().__init__(0.0 if rtol == "discretisation" else rtol, limit)
         self.multigrid, self.problem, self.run, self.sizes = multigrid, problem, run, Sizes(problem)
         self.residuals: list[float] = []
         self._nested, self._hands_over = nested, hands_over
-        self._most, self._safe = self.SAFE_CYCLES, self.SAFE_CYCLES if cold else 0
+        self._most, self._safe = self.SAFE_CYCLES, 0
         self._first, self._since = np.nan, 0
+        self._coarse, self._cold, self._moves, self._changed, self._shorten = coarse, cold, list[float](), 0, False
 
     def step(self) -> State | Status:
         """Correct, unless it is the first step, and measure what the smoothing leaves."""
@@ -82,7 +91,16 @@ class TruncatedIteration(StopTest):
         multigrid, sizes, cycles = self.multigrid, self.sizes, len(self.changes)
         # each cycle only where the displacement has to grow into prescribed values
         measured = cycles % 4 == 0 or sizes.prescribed
+        self._shorten, moved = self._coarse is not None and cycles == 0, None
+        if self._seeks_status():
+            multigrid.smooth()
+            moved, measured = self._coarse()(), True
+            self._shorten = moved < np.inf
         state = multigrid.measure(self._safe > 0, with_energy=measured)
+        self._changed = state.changed if cycles else 0  # before the first cycle there is no status
+        size = sizes.norm(multigrid.unknowns, state.energy) if measured else self.size
+        if moved is not None:
+            self._moves.append(moved / size if size > 0 else np.inf)
         self._safe = self._safe - 1 if self._safe > 0 and state.changed else 0
         early = cycles < 2
         # an exact start has no rate to measure, and needs none
@@ -92,9 +110,7 @@ class TruncatedIteration(StopTest):
         if self.run is not None and self.run.reference is not None:
             error = multigrid.unknowns - self.problem.from_prescribed(self.run.reference)
             columns["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
-        return State(cycles, state.residual, forces,
-                     sizes.norm(multigrid.unknowns, state.energy) if measured else self.size,
-                     floor if early or idle else 0.0, idle, columns=columns)
+        return State(cycles, state.residual, forces, size, floor if early or idle else 0.0, idle, columns=columns)
 
     def judge(self, state: State) -> None:
         super().judge(state)
@@ -102,8 +118,17 @@ class TruncatedIteration(StopTest):
         if len(self.residuals) == 1:
             self._first = self._last
 
+    def _seeks_status(self) -> bool:
+        """Whether a contact problem on a coarse level comes first."""
+        if self._coarse is None or len(self._moves) >= self.MOVES or (self._moves and self._moves[-1] < self.SMALL):
+            return False
+        if not self.changes:
+            return self._cold
+        last = self.change
+        return last > self.LARGE or (last > self.MIDDLE and self._changed > 1)
+
     def _correct(self) -> Status | None:
-        self.changes.append(float(np.sqrt(abs(self.multigrid.correct()))))
+        self.changes.append(float(np.sqrt(abs(self.multigrid.correct(self._shorten)))))
         self.cycles = len(self.changes)
         if self._safe == 0 and self._in_trouble():
             if self._most > self.SAFE_CYCLES:
@@ -261,12 +286,13 @@ class TruncatedRun:
             self.cycle = LinearCycle(levels, prolongations, run, parts.sweeps(levels), parts.coarse_solve,
                                      parts.coarse_smoother)
         self.problems: list[DiscreteProblem | None] = [getattr(level, "discrete", None) for level in hierarchy.levels]
+        self._coarse: CoarseContact | None = None
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
         """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero."""
         problem = self.problems[-1]
         return self.finish(np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start),
-                           cold=True)
+                           cold=start is None)
 
     def from_nested(self, start: NestedStart) -> Outcome:
         return self.finish(self.nested_start(start), cold=False)
@@ -307,7 +333,8 @@ class TruncatedRun:
         del unknowns  # long vectors limit the size of a problem
         with self.run.phase("cycles"):
             cycles = TruncatedIteration(step, problem, self.rtol, self.max_cycles, run=self.run, cold=cold,
-                                        nested=nested, hands_over=problem.n_dofs <= FACTORISED[problem.dim])
+                                        nested=nested, hands_over=problem.n_dofs <= FACTORISED[problem.dim],
+                                        coarse=partial(self._coarse_contact, step) if len(problem.contact) else None)
             status = iterate(cycles, cycles, self.run)
         displacement = problem.with_prescribed(step.unknowns).reshape(-1, problem.dim)
         failed = status in (Status.STALLED, Status.DIVERGED) and cycles.rtol > 0 and not cycles.rests()
@@ -331,8 +358,15 @@ class TruncatedRun:
             if number == len(levels) - 1 and self.cycle.coarse_smoother is None:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:-1]:
-                    level.drop_diagonal()
+                    if level.n_dofs > CoarseContact.MOST:
+                        level.drop_diagonal()
             return step
+
+    def _coarse_contact(self, step: TruncatedStep) -> CoarseContact:
+        """The coarse contact problem of the finest level, made when it is first asked for."""
+        if self._coarse is None or self._coarse.step is not step:
+            self._coarse = CoarseContact(step, [None if one is None else one.coordinates for one in self.problems])
+        return self._coarse
 
     def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
         """Solve the coarsest level by semismooth Newton steps; each counts a pass, its factorisation as seconds."""

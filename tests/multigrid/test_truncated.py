@@ -13,6 +13,7 @@ from smoother_problems import expand
 
 import adaptmg as am
 from adaptmg.solver.record import Run
+from adaptmg.solver.truncated import TruncatedIteration
 
 COLD, NESTED = am.Multigrid(), am.FullMultigrid()
 
@@ -204,7 +205,8 @@ def far(a, b):
 
 @pytest.mark.parametrize("grids, method", [
     ("uniform", am.FullMultigrid), ("uniform", am.Multigrid), ("joint", am.FullMultigrid)])
-def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method, request):
+def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method, request, monkeypatch):
+    monkeypatch.setattr(TruncatedIteration, "MOVES", 0)  # the right status at once may leave a singular matrix
     grids, matrices = request.getfixturevalue(grids), []
     own = SimpleNamespace(setup=lambda matrix: matrices.append(matrix.copy()) or splu(sparse.csc_array(matrix)))
     expected = am.solve(grids, method())
