@@ -208,7 +208,7 @@ class _Newton:
         tolerance = self._tolerances.pop(0)
         found = interior_point(*self.equations_of.inside(), self.local.contact, self.equations_of.stiffness, tolerance,
                                most=min(self.MOST, self.options.max_steps - self.cycles))
-        _LOG.info("step %d: an interior point, %.0e, in %d steps", self.cycles, found.slack, found.steps)
+        _LOG.debug("step %d: an interior point, %.0e, in %d steps", self.cycles, found.slack, found.steps)
         self.unknowns = self.equations_of.outside(found)
         self.cycles += found.steps
         self.run.visit(self.level, "solve", found.steps)
