@@ -1,7 +1,8 @@
 r"""Certificate: whether a displacement solves the contact problem, recomputed from the raw matrices.
 
-Nothing here comes from the solvers or their frames, and of their kernels only the arithmetic of small blocks: products
-with the stored matrix, unit normals n and projections I - n n' in Cartesian components. With :math:`r = A u - b`, the
+Nothing here comes from the solvers or their frames but arithmetic: of small blocks, and an interior point method on a
+small dense matrix, whose result is measured afterwards. There are products with the stored matrix, unit normals n and
+projections I - n n' in Cartesian components. With :math:`r = A u - b`, the
 claimed contact forces :math:`f = -p\,n + f_t`, their bound :math:`s + \mu p` and the slip :math:`\tau` it measures
 
 .. math:: r - f = 0, \quad u_n \le g_0, \quad p \ge 0, \quad p\,(g_0 - u_n) = 0, \quad

@@ -36,6 +36,16 @@ _SPRING, _LEAST = 1e-2, 1e-8
 
 
 @dataclass(frozen=True, eq=False)
+class Conditions:
+    """Contact conditions of nodes, as those of :class:`adaptmg.smoother.system.NodalContact`."""
+
+    gap: np.ndarray
+    slip_reference: np.ndarray
+    limit: np.ndarray
+    friction: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Interior:
     """The best iterate of a run."""
 
@@ -46,7 +56,7 @@ class Interior:
     steps: int
 
 
-def interior_point(unknowns: Unknowns, load: np.ndarray, contact: NodalContact, stiffness: np.ndarray,
+def interior_point(unknowns: Unknowns, load: np.ndarray, contact: NodalContact | Conditions, stiffness: np.ndarray,
                    tolerance: float, offset: np.ndarray | float = 0.0, most: int = 60) -> Interior:
     """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in at most so many steps. ``stiffness``
     (n_contact, dim), N/m, scales the start, which needs no admissible displacement."""
@@ -63,7 +73,7 @@ def interior_point(unknowns: Unknowns, load: np.ndarray, contact: NodalContact, 
 class _Method:
     """The iterate of an interior point method, and its steps."""
 
-    def __init__(self, unknowns: Unknowns, load: np.ndarray, contact: NodalContact, stiffness: np.ndarray,
+    def __init__(self, unknowns: Unknowns, load: np.ndarray, contact: NodalContact | Conditions, stiffness: np.ndarray,
                  offset: np.ndarray | float) -> None:
         n, dim = stiffness.shape
         self.dim, self.load, self.span = dim, load, unknowns
@@ -91,7 +101,7 @@ class _Method:
         self.total, apart, width = _measure(self.state, *self.nodes)
         energy = max(float(self.unknowns @ product), self.least)
         size = max(np.abs(self.load).max(initial=0.0), np.abs(product).max(initial=0.0))
-        slack = max(self.total / energy if energy > 0 else np.inf, apart / max(width, self.width),
+        slack = max(self.total / energy if energy > 0 else np.inf, apart / max(self.width, width),
                     np.abs(self.rest).max(initial=0.0) / size if size > 0 else 0.0)
         return Interior(self.state[:, :self.dim].copy(), forces, self.unknowns, slack, 0)
 
@@ -99,7 +109,7 @@ class _Method:
         """Take a step, or return False where there is none."""
         _eliminate(self.state, *self.nodes, self.blocks)
         solve, mean = self._factors(), self.total / self.pairs
-        if solve is None:
+        if solve is None or not self.total > 0:
             return False
         self.change[:] = 0.0
         length = min(1.0, self._direct(solve, 0.0, 0.0)[1])
