@@ -1,20 +1,20 @@
 """The projected block Gauss-Seidel smoother: numba kernels on arrays, and one thin wrapper."""
 
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.smoother.residuals import natural_residual, normal_force, residual
+from adaptmg.smoother.residuals import natural_residual, residual
 from adaptmg.smoother.system import (
-           OPEN,
-           SLIP,
-           STICK,
-           ContactState,
-           LocalProblem,
-           LocalSystem,
-           NodalContact,
-           local_system,
+    OPEN,
+    SLIP,
+    STICK,
+    ContactState,
+    LocalProblem,
+    LocalSystem,
+    NodalContact,
+    local_system,
 )
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactState", "LocalProblem", "LocalSystem", "NodalContact",
-           "ProjectedGaussSeidel", "Smoother", "local_system", "natural_residual", "normal_force", "residual"]
+           "ProjectedGaussSeidel", "Smoother", "local_system", "natural_residual", "residual"]
 
 
 def __dir__() -> list[str]:

@@ -4,9 +4,8 @@ The paper's smoother (a relaxation with projection onto the contact and friction
 block of unknowns to the minimum of the functional over that block (omega = 1), in the metric :math:`D/\omega` in
 general; see :mod:`adaptmg.smoother.node_solve`.
 
-Coulomb's bound :math:`\mu p` either follows the iterate inside each node solve (the diagonal process) or is held for a
-number of sweeps. Over-relaxed sweeps with the former may cycle (from omega = 1.65 on); with the latter each
-held problem is Tresca's, and its energy falls.
+Coulomb's bound :math:`\mu p` follows the iterate inside each node solve (the diagonal process). Over-relaxed sweeps may
+then cycle (from omega = 1.65 on).
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.smoother import kernels
 from adaptmg.smoother.blocks import ZERO
-from adaptmg.smoother.residuals import check_contact, check_vector, contact_share, normal_force
+from adaptmg.smoother.residuals import check
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
 _DIRECTIONS = {"forward": (1,), "backward": (-1,), "symmetric": (1, -1)}
@@ -43,9 +42,6 @@ class ProjectedGaussSeidel:
         Relaxation factor, 0 < omega < 2. 1 is best inside multigrid; alone on a fine mesh a factor near 2 is.
     order : {"forward", "backward", "symmetric"}
         Order of the nodes in a sweep. A symmetric sweep is one forward and one backward pass.
-    friction_update : "sweep" or int
-        When mu * p is updated: "sweep": within each node solve; k >= 1: before the first sweep of a call and every k
-        sweeps after it.
 
     Examples
     --------
@@ -56,7 +52,6 @@ class ProjectedGaussSeidel:
 
     omega: float = 1.0
     order: Literal["forward", "backward", "symmetric"] = "forward"
-    friction_update: Literal["sweep"] | int = "sweep"
 
     def __post_init__(self) -> None:
         omega = checks.number("omega", self.omega)
@@ -64,10 +59,6 @@ class ProjectedGaussSeidel:
             raise ValueError(f"omega must be in (0, 2), got {self.omega!r}")
         object.__setattr__(self, "omega", omega)
         checks.choice("order", self.order, _DIRECTIONS)
-        if isinstance(self.friction_update, str):
-            checks.choice("friction_update", self.friction_update, ("sweep",))
-        else:
-            object.__setattr__(self, "friction_update", checks.integer("friction_update", self.friction_update, 1))
 
     def smooth(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
                sweeps: int = 1) -> float:
@@ -86,23 +77,15 @@ class ProjectedGaussSeidel:
         Returns
         -------
         float
-            Passes over the matrix: 1 a sweep (symmetric: 2), and for each update of a held bound the share of the
-            matrix that the rows of the contact nodes hold.
+            Passes over the matrix: 1 a sweep (symmetric: 2).
         """
-        check_contact(system, contact)
-        check_vector("load", load, system)
-        check_vector("unknowns", unknowns, system, changed=True)
-        sweeps = checks.integer("sweeps", sweeps)
-        held = self.friction_update != "sweep" and bool(contact.friction.any())
-        passes, current = 0.0, contact
-        for k in range(sweeps):
-            if held and k % self.friction_update == 0:
-                current = contact.frozen(normal_force(system, load, unknowns))
-                passes += contact_share(system)
-            for step in _DIRECTIONS[self.order]:
-                kernels.sweep(ZERO[system.dim], 0 if step > 0 else system.n_nodes - 1, step, system.indptr,
-                              system.indices, system.data, system.diagonal, system.inverse, system.contact_of,
-                              current.gap, current.slip_reference.reshape(-1), current.limit, current.friction, load,
-                              unknowns, self.omega)
-                passes += 1.0
-        return passes
+        check(system, checks.instance("contact", contact, NodalContact), load=load, unknowns=unknowns)
+        if not unknowns.flags.writeable:
+            raise ValueError("unknowns is read-only but is changed in place: pass unknowns.copy()")
+        steps = _DIRECTIONS[self.order] * checks.integer("sweeps", sweeps)
+        for step in steps:
+            kernels.sweep(ZERO[system.dim], 0 if step > 0 else system.n_nodes - 1, step, system.indptr, system.indices,
+                          system.data, system.diagonal, system.inverse, system.contact_of, contact.gap,
+                          contact.slip_reference.reshape(-1), contact.limit, contact.friction, load, unknowns,
+                          self.omega)
+        return float(len(steps))

@@ -117,13 +117,6 @@ def residual(zero, indptr, indices, data, load, w, result):
 
 
 @kernel
-def normal_residual(zero, nodes, indptr, indices, data, load, w, result):
-    """The normal component of b - A w at ``nodes`` into ``result`` (len(nodes),)."""
-    for k in range(len(nodes)):
-        result[k] = _residual_at(np.uint64(nodes[k]), indptr, indices, data, load, w, zero, 1)[0]
-
-
-@kernel
 def natural_residual(zero, nodes, diagonal, gap, reference, limit, friction, w, result):
     """D (prox_D(w + D^-1 r) - w) at the contact nodes of ``result`` (n_dofs,), which comes as r = b - A w.
 

@@ -8,8 +8,6 @@ natural residual
 with D the block diagonal of A and :math:`\mathrm{prox}_D` the exact node solve of
 :mod:`adaptmg.smoother.node_solve` in the metric D, its bound held at :math:`s + \mu\,p(w)`, is a force. It vanishes
 exactly at the solution, Coulomb's law included; away from contact it is r.
-
-The kernels check nothing: :func:`check_vector` and :func:`check_contact` read the shapes and types of their arguments.
 """
 
 from __future__ import annotations
@@ -23,8 +21,7 @@ from adaptmg.smoother.system import LocalSystem, NodalContact, contact_codes, co
 
 def residual(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
     """Return the residual b - A w (n_dofs,), N, contact forces included, from b and w (n_dofs,), local components."""
-    check_vector("load", load, system)
-    check_vector("unknowns", unknowns, system)
+    check(system, load=load, unknowns=unknowns)
     result = np.empty(system.n_dofs)
     kernels.residual(ZERO[system.dim], system.indptr, system.indices, system.data, load, unknowns, result)
     return result
@@ -36,13 +33,8 @@ def natural_residual(system: LocalSystem, contact: NodalContact, load: np.ndarra
 
     ``linear`` (n_dofs,) is b - A w where it is known already; no pass over the matrix is needed then.
     """
-    check_contact(system, contact)
-    if linear is None:
-        result = residual(system, load, unknowns)
-    else:
-        check_vector("unknowns", unknowns, system)
-        check_vector("linear", linear, system)
-        result = linear.copy()
+    check(system, contact, unknowns=unknowns, linear=unknowns if linear is None else linear)
+    result = residual(system, load, unknowns) if linear is None else linear.copy()
     kernels.natural_residual(ZERO[system.dim], system.nodes, system.diagonal, contact.gap,
                              contact.slip_reference.reshape(-1), contact.limit, contact.friction, unknowns, result)
     return result
@@ -58,22 +50,6 @@ def natural_at_nodes(contact: NodalContact, blocks: np.ndarray, values: np.ndarr
     return result.reshape(-1, dim)
 
 
-def normal_force(system: LocalSystem, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
-    """Return the compressive nodal force p = max(0, (b - A w)_n) (n_contact,), N; only their rows are read."""
-    check_vector("load", load, system)
-    check_vector("unknowns", unknowns, system)
-    result = np.empty(len(system.nodes))
-    kernels.normal_residual(ZERO[system.dim], system.nodes, system.indptr, system.indices, system.data, load,
-                            unknowns, result)
-    return np.maximum(result, 0.0, out=result)
-
-
-def contact_share(system: LocalSystem) -> float:
-    """The part of the matrix that the rows of the contact nodes hold: what :func:`normal_force` costs, in passes."""
-    blocks = system.indptr[system.nodes + 1] - system.indptr[system.nodes]
-    return float(blocks.sum()) * system.dim**2 / system.nonzeros
-
-
 def states(contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, small: float) -> np.ndarray:
     """Return the :class:`~adaptmg.smoother.system.ContactState` (n_contact,) int8 of unknowns (n_contact, dim) and p.
     OPEN where there is a gap, or no compressive force; otherwise STICK where the slip is zero and the bound s + mu p is
@@ -83,29 +59,19 @@ def states(contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, 
     return contact_states(contact_codes(~(contact.gap - values[:, 0] > small), held), normal_force)
 
 
-def check_vector(name: str, value: object, system: LocalSystem, *, changed: bool = False) -> None:
-    """Raise unless ``value`` is a contiguous float64 (n_dofs,) array; ``changed``: and writeable."""
-    _check_array(name, value, (system.n_dofs,), f"one number a dof of the system with {system.n_nodes} nodes")
-    if changed and not value.flags.writeable:
-        raise ValueError(f"{name} is read-only but is changed in place: pass {name}.copy()")
-
-
-def check_contact(system: LocalSystem, contact: object) -> None:
-    """Raise unless ``contact`` is a NodalContact whose arrays fit the contact nodes of ``system``."""
-    if not isinstance(contact, NodalContact):
-        raise TypeError(f"contact must be a NodalContact, got {type(contact).__name__}")
-    n = len(system.nodes)
-    meaning = f"there are {n} contact nodes"
-    for name in ("gap", "limit", "friction"):
-        _check_array(f"contact.{name}", getattr(contact, name), (n,), meaning)
-    _check_array("contact.slip_reference", contact.slip_reference, (n, system.dim - 1), meaning)
-
-
-def _check_array(name: str, value: object, shape: tuple[int, ...], meaning: str) -> None:
-    if not isinstance(value, np.ndarray) or value.dtype != np.float64:
-        given = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
-        raise TypeError(f"{name} must be a numpy array of float64, got {given}")
-    if value.shape != shape:
-        raise ValueError(f"{name} must have shape {shape} ({meaning}), got {value.shape}")
-    if not value.flags.c_contiguous:
-        raise ValueError(f"{name} must be contiguous: pass numpy.ascontiguousarray({name})")
+def check(system: LocalSystem, contact: NodalContact | None = None, **vectors: np.ndarray) -> None:
+    """Raise unless ``vectors`` (n_dofs,) and the arrays of ``contact`` are as the kernels, which check nothing, read
+    them: contiguous float64 arrays that fit ``system``."""
+    expected = {name: (value, (system.n_dofs,)) for name, value in vectors.items()}
+    if contact is not None:
+        n = len(system.nodes)
+        expected |= {f"contact.{name}": (getattr(contact, name), (n,)) for name in ("gap", "limit", "friction")}
+        expected["contact.slip_reference"] = contact.slip_reference, (n, system.dim - 1)
+    for name, (value, shape) in expected.items():
+        if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+            kind = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+            raise TypeError(f"{name} must be a numpy array of float64, got {kind}")
+        if value.shape != shape:
+            raise ValueError(f"{name} must have shape {shape}, got {value.shape}")
+        if not value.flags.c_contiguous:
+            raise ValueError(f"{name} must be contiguous: pass numpy.ascontiguousarray({name})")

@@ -12,7 +12,7 @@ p = 0, elsewhere STICK where it is held and SLIP otherwise: :func:`contact_state
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -42,10 +42,6 @@ class NodalContact:
         """Contact nodes (k,) that slip along a held tangent, indices."""
         return np.empty(0, dtype=np.int64) if self.held is None else np.flatnonzero(
             self.held & (self.slip_reference[:, 0] != 0))
-
-    def frozen(self, normal_force: np.ndarray) -> NodalContact:
-        """The Tresca problem with the limit held at limit + friction * normal_force (n_contact,), N."""
-        return replace(self, limit=self.limit + self.friction * normal_force, friction=np.zeros_like(self.friction))
 
 
 @dataclass(eq=False)

@@ -35,9 +35,6 @@ class SingleGrid:
     friction : {"diagonal", "fixed point"}
         Coulomb: update the sliding limit with every node solve (the paper's diagonal process), or solve Tresca
         problems with the limit held and update it between them (Problems P1 and P2 of the paper).
-    friction_update : "sweep" or int
-        The diagonal process updates the limit within each node solve, or holds it for this number of sweeps, with which
-        over-relaxed sweeps can converge that else cycle.
     stop : {"error", "change"}
         Test the estimated relative A-norm error and the natural residual, or (as the paper) the relative Euclidean
         change in one sweep alone.
@@ -55,7 +52,6 @@ class SingleGrid:
     omega: float = 1.0
     condensed: bool = False
     friction: str = "diagonal"
-    friction_update: str | int = "sweep"
     stop: str = "error"
     rtol: float = 1e-8
     max_sweeps: int = 200_000
@@ -65,14 +61,13 @@ class SingleGrid:
         checks.flag("condensed", self.condensed)
         checks.choice("friction", self.friction, ("diagonal", "fixed point"))
         checks.choice("stop", self.stop, ("error", "change"))
-        if self.friction == "fixed point" and (self.stop, self.friction_update) != ("error", "sweep"):
-            raise ValueError("stop and friction_update must be left at their defaults with friction='fixed point', got "
-                             f"{self.stop!r} and {self.friction_update!r}")
+        if self.friction == "fixed point" and self.stop != "error":
+            raise ValueError(f"stop must be 'error' with friction='fixed point', got {self.stop!r}")
         object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
     def smoother(self) -> ProjectedGaussSeidel:
-        return ProjectedGaussSeidel(omega=self.omega, friction_update=self.friction_update)
+        return ProjectedGaussSeidel(omega=self.omega)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         with run.phase("setup"):

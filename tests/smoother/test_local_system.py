@@ -67,10 +67,6 @@ class TestLocalProblem:
         limit, friction = problem.law.bounds(len(contact))
         np.testing.assert_array_equal(local.contact.limit, limit)
         np.testing.assert_array_equal(local.contact.friction, friction)
-        force = np.arange(float(len(contact)))
-        frozen = local.contact.frozen(force)
-        np.testing.assert_allclose(frozen.limit, limit + friction * force)
-        assert not frozen.friction.any()
 
     def test_flat_arrays_describe_the_matrix(self, problem):
         local = local_system(problem)
