@@ -38,7 +38,6 @@ from adaptmg.smoother.blocks import (
     transposed_times,
     write,
 )
-from adaptmg.smoother.compiling import likely
 from adaptmg.smoother.kernels import minus_row, minus_transposed_row
 from adaptmg.smoother.node_solve import read_reference, solve
 
@@ -68,7 +67,7 @@ def backward(first, last, order, zero, l_indptr, l_indices, lower, inverse, cont
         # kept comes last: it is the one to wait for, as the node before has just written to it
         r = minus_row(row, -1, l_indptr, l_indices, lower, u, zero, LINES)
         r = add(read(kept, at, zero), r)
-        if likely(contact_of[i] < 0):
+        if contact_of[i] < 0:
             new = times(inverse, dim * at, r)
         else:
             new = solve_at(np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction, values, r)
@@ -86,7 +85,7 @@ def forward(first, last, order, zero, l_indptr, l_indices, lower, inverse, diago
         row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
         r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(kept, at, zero), LINES)
-        if likely(contact_of[i] < 0):
+        if contact_of[i] < 0:
             new = times(inverse, dim * at, r)
             write(kept, at, zero)
         else:

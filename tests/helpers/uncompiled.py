@@ -8,14 +8,11 @@ from adaptmg.smoother import compiling
 
 __all__ = ["uncompile"]
 
-HINTS = {compiling.prefetch: compiling._ignored, compiling.likely: compiling._itself}
-
-
 def uncompile(monkeypatch: pytest.MonkeyPatch, *modules: ModuleType) -> None:
     """Put the Python function in the place of every compiled one in these modules, imported ones included."""
     for module in modules:
         for name, value in vars(module).copy().items():
             if hasattr(value, "py_func"):
                 monkeypatch.setattr(module, name, value.py_func)
-            elif callable(value) and value in HINTS:
-                monkeypatch.setattr(module, name, HINTS[value])
+            elif value is compiling.prefetch:
+                monkeypatch.setattr(module, name, compiling._ignored)
