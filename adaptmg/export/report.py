@@ -169,9 +169,11 @@ class Picture:
     width: int
 
 
-def picture_of(figure: Figure, caption: str) -> Picture:
+def picture_of(figure: Figure | Picture, caption: str) -> Picture:
     """Return a figure in its present state as a picture; pyplot then drops it (an open figure costs memory)."""
-    checks.instance("figure", figure, Figure, "a matplotlib Figure")
+    if isinstance(figure, Picture):
+        return figure
+    checks.instance("figure", figure, Figure, "a matplotlib Figure or a Picture")
     _text("caption", caption, empty=False)
     kind, data, across = "svg+xml", _svg(figure), figure.get_size_inches()[0]
     if len(data) > DENSE:
@@ -238,17 +240,13 @@ _PAGES.filters |= {"whole": _whole, "count": count, "folding": _folding, "paragr
 _PAGES.globals |= {"LONGEST": LONGEST, "IN_SIGHT": _IN_SIGHT, "IN_CARD": _IN_CARD, "IN_NOTE": _IN_NOTE}
 
 
-def _machine() -> str:
-    """Processor, cores, memory and system in a line."""
-    return (f"{processor()}, {os.cpu_count()} cores, {memory() / 2**30:.0f} GiB, {platform.system()} "
-            f"{platform.release()}")
-
-
 def _made() -> dict[str, str]:
     """Facts of every report."""
     packages = {"Python": platform.python_version(), **versions()}
     return {"Written": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}",
-            "Versions": ", ".join(f"{name} {version}" for name, version in packages.items()), "Machine": _machine()}
+            "Versions": ", ".join(f"{name} {version}" for name, version in packages.items()),
+            "Machine": f"{processor()}, {os.cpu_count()} cores, {memory() / 2**30:.0f} GiB, {platform.system()} "
+                       f"{platform.release()}"}
 
 
 class Report:
@@ -287,11 +285,8 @@ class Report:
         _text("title", title, empty=False)
         if table is not None and figure is not None:
             raise ValueError("card takes a table or a figure, not both: make two cards")
-        if isinstance(figure, Figure):
-            figure = picture_of(figure, title)
-        elif figure is not None:
-            checks.instance("figure", figure, Picture, "a matplotlib Figure or a Picture")
-        self._cards.append({"title": title, "text": _text("text", text), "to": _text("to", to), "picture": figure,
+        self._cards.append({"title": title, "text": _text("text", text), "to": _text("to", to),
+                            "picture": None if figure is None else picture_of(figure, title),
                             "table": None if table is None else _table(table, title, units, formats)})
 
     def section(self, title: str, text: str = "", *, summary: str = "", key: str = "") -> None:
@@ -321,11 +316,12 @@ class Report:
         written as words with a unit, 'total_s' as 'total [s]'. ``open``: whether it stands open, as the first table of
         a section does. ``csv`` names a CSV file of the table next to the page, for a link.
         """
-        checks.flag("open", open)
+        first = all(kind != "table" for kind, _ in self._sections[-1].parts)
         file = PurePosixPath(_text("csv", csv))
         if file.is_absolute() or ".." in file.parts or ":" in csv or "\\" in csv:
             raise ValueError(f"csv must name a file next to the page, got {checks.shown(csv)}")
-        made = _table(table, caption, units, formats, note=_text("note", note), open=open, csv=csv)
+        made = _table(table, caption, units, formats, note=_text("note", note), csv=csv,
+                      open=checks.flag("open", open) or first)
         if len(made.columns) > _WIDE and 3 <= made.rows <= LONGEST:
             same = tuple(column for column in made.columns[1:] if len(set(column.texts)) == 1)
             made = replace(made, columns=[column for column in made.columns if column not in same], same=same)
@@ -337,12 +333,10 @@ class Report:
         Drawings become SVG, dense ones (meshes) PNG, both inside the page. A picture of
         :func:`adaptmg.export.report.picture_of` is taken unchanged.
         """
-        picture = figure if isinstance(figure, Picture) else picture_of(figure, caption)
         parts = self._sections[-1].parts
-        if parts and isinstance(parts[-1][1], list):
-            parts[-1][1].append(picture)
-        else:
-            parts.append(("pictures", [picture]))
+        if not parts or parts[-1][0] != "pictures":
+            parts.append(("pictures", []))
+        parts[-1][1].append(picture_of(figure, caption))
 
     def made(self, **facts: str) -> None:
         """Add facts on the origin of the page (seeds, command) next to versions, machine and time."""
@@ -359,13 +353,8 @@ class Report:
         """Return the whole page as text."""
         return _PAGES.get_template("report.html.j2").render(
             title=self.title, summary=self.summary, terms=self.terms, cards=self._cards, sections=self._sections,
-            opened=self._opened(), keys={section.key for section in self._sections[1:]}, facts=_made() | self._made)
+            keys={section.key for section in self._sections[1:]}, facts=_made() | self._made)
 
     def _add(self, kind: str, part: object) -> None:
         if not isinstance(part, str) or part.strip():
             self._sections[-1].parts.append((kind, part))
-
-    def _opened(self) -> list[_Table]:
-        """The open tables: those with ``open=True``, and the first of each section."""
-        tables = [[part for _, part in section.parts if isinstance(part, _Table)] for section in self._sections]
-        return [table for each in tables for k, table in enumerate(each) if table.open or k == 0]

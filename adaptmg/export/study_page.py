@@ -16,12 +16,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from pandas.api import types
 
 from adaptmg import _checks as checks
 from adaptmg.export.report import LONGEST, Report, count, label, worded
-from adaptmg.plot.style import CYCLE, plain, styled
+from adaptmg.plot.style import CYCLE, label_plainly, plain, styled
 
 #: columns of a study that are neither parameters nor results, and the status of runs that are drawn
 _STATUS, _ERROR, _DONE = "status", "error", "done"
@@ -204,9 +203,7 @@ def _scale(ax: Axes, name: str, values: pd.Series) -> None:
     axis, single = getattr(ax, f"{name}axis"), np.unique(values)
     if len(single) and single[0] > 0 and single[-1] >= _LOGARITHMIC * single[0]:
         ax.set(**{f"{name}scale": "log"})
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
+        label_plainly(axis, (1.0, 2.0, 5.0))
     elif name == "x" and 0 < len(single) <= 12 and (single == np.round(single)).all():
         axis.set_ticks(single, [f"{value:g}" for value in single])
 

@@ -85,6 +85,11 @@ def _chosen(runs: Mapping[str, Result], several: bool) -> list[str]:
     return common[:1] if several else common
 
 
+#: transfers by their names in the path: colour, line and label
+_TRANSFERS = {"restrict": (ORANGE, "-", "restrict residual"), "prolong": (BLUE, "-", "prolong correction"),
+              "start": (INK, (0, (3, 2)), "prolong solution (nested start)")}
+
+
 @dataclass
 class _Stop:
     """A point of the cycle diagram: a level, the action there, and the transfer that leads to it."""
@@ -114,8 +119,19 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
     shown = stops[:steps]
     levels = max(len(result.levels), max(stop.level for stop in shown) + 1)
     ax = canvas(ax, (min(11.0, 3.4 + 0.18 * len(shown)), 1.1 + 0.62 * max(levels, 2)))
-    _draw_transfers(ax, shown)
-    _draw_stops(ax, shown)
+    height = np.array([stop.level for stop in shown])
+    for arrival, (color, style, label) in _TRANSFERS.items():
+        for n, k in enumerate(k for k, stop in enumerate(shown) if k and stop.arrival == arrival):
+            ax.plot([k - 1, k], height[k - 1:k + 1], color=color, linestyle=style, linewidth=1.4,
+                    label="" if n else label, zorder=2)
+    for action, marker, face, edge, size, label in (("smooth", "o", "white", INK, 120, "smooth (sweeps)"),
+                                                    ("solve", "s", GREEN, GREEN, 80, "solve")):
+        if at := [k for k, stop in enumerate(shown) if stop.action == action]:
+            ax.scatter(at, height[at], marker=marker, s=size, facecolor=face, edgecolor=edge, linewidth=1.1, zorder=3,
+                       label=label)
+    for k, stop in enumerate(shown):
+        if stop.action == "smooth" and stop.times < 100:
+            ax.text(k, stop.level, str(stop.times), ha="center", va="center", fontsize=7, color=INK, zorder=4)
     nodes = [f"\n{int(level['nodes'])} nodes" for level in result.levels] + [""] * levels
     ax.set_yticks(range(levels), [f"level {k}{nodes[k]}" for k in range(levels)])
     ax.set(xlim=(-0.8, len(shown) - 0.2), ylim=(-0.6, levels - 0.45), xticks=[])
@@ -148,30 +164,3 @@ def _stops(entries: list[tuple[int, str, int]]) -> list[_Stop]:
             stops.append(_Stop(level, action, times, arrival))
         arrival = ""
     return stops
-
-
-_TRANSFERS = {"restrict": (ORANGE, "-", "restrict residual"), "prolong": (BLUE, "-", "prolong correction"),
-              "start": (INK, (0, (3, 2)), "prolong solution (nested start)")}
-
-
-def _draw_transfers(ax: Axes, stops: list[_Stop]) -> None:
-    labelled: set[str] = set()
-    for k, stop in enumerate(stops):
-        if k and stop.arrival:
-            color, style, label = _TRANSFERS[stop.arrival]
-            ax.plot([k - 1, k], [stops[k - 1].level, stop.level], color=color, linestyle=style, linewidth=1.4,
-                    label=None if stop.arrival in labelled else label, zorder=2)
-            labelled.add(stop.arrival)
-
-
-def _draw_stops(ax: Axes, stops: list[_Stop]) -> None:
-    """Draw circles with the number of sweeps, and squares for solves."""
-    for action, marker, face, edge, size, label in (("smooth", "o", "white", INK, 120, "smooth (sweeps)"),
-                                                    ("solve", "s", GREEN, GREEN, 80, "solve")):
-        at = [k for k, stop in enumerate(stops) if stop.action == action]
-        if at:
-            ax.scatter(at, [stops[k].level for k in at], marker=marker, s=size, facecolor=face, edgecolor=edge,
-                       linewidth=1.1, zorder=3, label=label)
-        for k in at if action == "smooth" else ():
-            ax.text(k, stops[k].level, str(stops[k].times) if stops[k].times < 100 else "", ha="center", va="center",
-                    fontsize=7, color=INK, zorder=4)

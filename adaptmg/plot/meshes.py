@@ -10,7 +10,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LogNorm, to_rgba_array
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from adaptmg import _checks as checks
 from adaptmg.estimate.step import Step
@@ -103,19 +102,15 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str], result: ContactRe
         ax.add_collection(LineCollection(points[drawn.facets], color=style.INK, linewidth=0.9))
     for boundary, name in enumerate(contact):
         mine = drawn.facet_labels == (drawn.boundaries.index(name) if name in drawn.boundaries else -1)
-        if result is not None:
-            state = style.states_of(result, boundary, drawn.n_nodes)
-            mine &= (state[drawn.facets] >= 0).all(axis=1)
-            present |= set(state[drawn.facets[mine]].ravel().tolist())
+        state = np.zeros(drawn.n_nodes, dtype=int) if result is None else style.states_of(result, boundary,
+                                                                                          drawn.n_nodes)
+        mine &= (state[drawn.facets] >= 0).all(axis=1)
         marked |= mine
+        present |= set(state[drawn.facets[mine]].ravel().tolist())
         if solid:
-            colors[mine] = _MARK if result is None else to_rgba_array(
-                [style.STATE_INKS[code] for code in np.median(state[drawn.facets[mine]], axis=1).astype(int)])
-            continue
-        for line in style.polylines(drawn.facets[mine]):
-            segments, inks = style.halves(points[line], np.zeros(len(line)) if result is None else state[line])
-            ax.add_collection(LineCollection(segments, colors=style.ORANGE if result is None else inks, linewidths=2.6,
-                                             capstyle="butt", zorder=4))
+            colors[mine] = _MARK if result is None else style.inks(style.facet_states(state[drawn.facets[mine]]))
+        else:
+            style.stated_lines(ax, points, drawn.facets[mine], state, 2.6, style.ORANGE if result is None else None)
     if solid:
         draw_facets(ax, points[drawn.facets], colors)
         finish_axes(ax, points, unit)
@@ -195,9 +190,7 @@ def _falling(ax: Axes, x: np.ndarray, relative: np.ndarray, name: str, step: Ste
         decades = np.log10(values.max() / values.min()) if len(values) else 1.0
         # few labels on long ranges, several on short ones
         subs = (1.0,) if decades > 2 else (1.0, 2.0, 5.0) if decades > 0.7 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
-        axis.set_major_locator(LogLocator(subs=subs, numticks=20))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
+        style.label_plainly(axis, subs)
 
 
 def _map(figure: Figure, ax: Axes, step: Step) -> None:

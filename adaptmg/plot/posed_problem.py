@@ -7,7 +7,7 @@ tractions are proportional to them: those that push end on the boundary, those t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -21,6 +21,7 @@ from matplotlib.path import Path
 from mpl_toolkits.mplot3d import Axes3D
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.loads import load_density
 from adaptmg.discrete.supports import supported_nodes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.domains import in_edges
@@ -119,7 +120,7 @@ def _draw_plane(posed: ContactProblem, bodies: dict[str, list[np.ndarray]], edge
     for load in _surface_loads(posed):
         length = np.linalg.norm(np.diff(edges[load.boundary], axis=1), axis=2).sum()
         x, normals = spread(edges[load.boundary], np.linspace(0.06, 0.94, max(3, round(12 * length / size))))
-        places.append((load, x, normals, _tractions(load, x, normals)))
+        places.append((load, x, normals, load_density(load, x[:, None], normals)[:, 0]))
     for tails, arrows in _arrows(places, 0.17 * size):
         ax.quiver(*scale * tails.T, *scale * arrows.T, angles="xy", scale_units="xy", scale=1, color=style.BLUE,
                   units="inches", width=0.02, headwidth=4.5, headlength=5.5, headaxislength=5, zorder=5)
@@ -155,34 +156,28 @@ def _draw_obstacle(ax: Axes, contact: Contact, edges: np.ndarray, size: float, s
     return times
 
 
-def _outlines(domain: Domain) -> dict[str, tuple[np.ndarray, list[str], np.ndarray]]:
-    """Of each body of a plane domain the corners (n, 2), m, the names of the edges that begin there, and their ends."""
+def _outlines(domain: Domain) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Of each body of a plane domain the edges (n, 2, 2), m, the body on their left, and their boundaries (n,)."""
     result = {}
     for body, part in (domain.parts if isinstance(domain, Assembly) else {domain.bodies[0]: domain}).items():
         own = in_edges(part)
-        if isinstance(own, Outline):
-            corners, edge, following = own.chords()
-            result[body] = corners, [own.boundaries[i] for i in edge], corners[following]
-        else:
-            corners = np.array(own.polygon.vertices)
-            result[body] = corners, list(own.polygon.boundaries), np.roll(corners, -1, axis=0)
+        if not isinstance(own, Outline):
+            own = Outline(vertices=own.polygon.vertices, boundaries=own.polygon.boundaries)
+        corners, edge, following = own.chords()
+        result[body] = np.stack([corners, corners[following]], axis=1), np.array(own.boundaries)[edge]
     return result
 
 
 def _loops(domain: Domain) -> dict[str, list[np.ndarray]]:
     """Corners (n, 2), m, around each body of a plane domain, and around its holes."""
-    return {body: np.split(corners, 1 + np.flatnonzero((ends[:-1] != corners[1:]).any(axis=1)))
-            for body, (corners, _, ends) in _outlines(domain).items()}
+    return {body: np.split(edges[:, 0], 1 + np.flatnonzero((edges[:-1, 1] != edges[1:, 0]).any(axis=1)))
+            for body, (edges, _) in _outlines(domain).items()}
 
 
 def boundary_edges(domain: Domain) -> dict[str, np.ndarray]:
     """Return the edges (n, 2, 2), m, of each boundary of a plane domain, the body on their left."""
-    edges: dict[str, np.ndarray] = {}
-    for body, (corners, of_edge, ends) in _outlines(domain).items():
-        every, names = np.stack([corners, ends], axis=1), np.array(of_edge)
-        edges |= {f"{body}.{name}" if isinstance(domain, Assembly) else name: every[names == name]
-                  for name in dict.fromkeys(of_edge)}
-    return edges
+    return {f"{body}.{name}" if isinstance(domain, Assembly) else name: edges[names == name]
+            for body, (edges, names) in _outlines(domain).items() for name in dict.fromkeys(names.tolist())}
 
 
 def _triangles(mesh: MeshArrays) -> dict[str, list[np.ndarray]]:
@@ -192,17 +187,9 @@ def _triangles(mesh: MeshArrays) -> dict[str, list[np.ndarray]]:
 
 def _mesh_edges(mesh: MeshArrays) -> dict[str, np.ndarray]:
     """As :func:`boundary_edges`, of a mesh; edges that follow each other stand so."""
-    edges = {}
-    for name in mesh.boundaries:
-        facets = mesh.boundary_facets(name)
-        left, order = dict(zip(facets[:, 0].tolist(), facets.tolist(), strict=True)), []
-        starts = [*np.setdiff1d(facets[:, 0], facets[:, 1]).tolist(), *left]
-        for node in starts:
-            while node in left:
-                order.append(left.pop(node))
-                node = order[-1][1]
-        edges[name] = mesh.points[np.array(order, dtype=np.int64)]
-    return edges
+    lines = {name: style.polylines(mesh.boundary_facets(name)) for name in mesh.boundaries}
+    return {name: np.concatenate([np.empty((0, 2, 2)), *(mesh.points[np.stack([line[:-1], line[1:]], axis=1)]
+                                                        for line in parts)]) for name, parts in lines.items()}
 
 
 def _outward(edges: np.ndarray) -> np.ndarray:
@@ -249,7 +236,7 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D) -> None:
         mine = mine[np.unique(np.linspace(0, len(mine) - 1, 24).astype(int))]
         normals = normals_of(corners[mine])
         places.append((load, corners[mine].mean(axis=1), normals,
-                       _tractions(load, mesh.points[mesh.facets[mine]].mean(axis=1), normals)))
+                       load_density(load, corners[mine].mean(axis=1)[:, None] / scale, normals)[:, 0]))
     arrows = [stroke for arrow in _arrows(places, float(np.max(np.ptp(points, axis=0))) / 6)
               for stroke in _strokes(*arrow)]
     edges = np.concatenate([sharp_edges(points, mesh.facets[body == k]) for k in range(len(mesh.bodies))])
@@ -283,16 +270,6 @@ def _strokes(tails: np.ndarray, arrows: np.ndarray) -> list[np.ndarray]:
 
 def _surface_loads(posed: ContactProblem) -> list[SurfaceLoad]:
     return [load for load in posed.loads if isinstance(load, SurfaceLoad)]
-
-
-def _tractions(load: SurfaceLoad, x: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Tractions (n, dim), Pa, at points (n, dim), m, with outward unit normals."""
-    def at(value: Callable[[np.ndarray], np.ndarray] | float) -> np.ndarray:
-        return np.broadcast_to(np.asarray(value(x) if callable(value) else value, dtype=float), len(x))
-
-    if isinstance(load, Pressure):
-        return -at(load.value)[:, None] * normals
-    return np.stack([at(component) for component in load.components], axis=1)
 
 
 def _arrows(places: list[_Drawn], reach: float) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -13,12 +13,15 @@ import matplotlib
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.mathtext import MathTextParser
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.transforms import ScaledTranslation
 
 from adaptmg import _checks as checks
@@ -158,6 +161,13 @@ def number(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
+def label_plainly(axis: Axis, subs: Sequence[float]) -> None:
+    """Label a logarithmic axis with plain numbers at these multiples of powers of ten."""
+    axis.set_major_locator(LogLocator(subs=subs, numticks=20))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
 def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the lower and the upper corner of points (n, dim), and the length of the diagonal."""
     lower, upper = points.min(axis=0), points.max(axis=0)
@@ -202,6 +212,25 @@ def states_of(contact: ContactResult, boundary: int, n_nodes: int) -> np.ndarray
     states, mine = np.full(n_nodes, -1), contact.boundary == boundary
     states[contact.node[mine]] = contact.state[mine]
     return states
+
+
+def facet_states(corners: np.ndarray) -> np.ndarray:
+    """Return the state (n,) of most corners of triangles from those of the corners (n, 3); -1 unless all have one."""
+    return np.where(corners.min(axis=1) >= 0, np.median(corners, axis=1), -1).astype(int)
+
+
+def inks(states: np.ndarray) -> np.ndarray:
+    """Return the strong colours (n, 4) of states."""
+    return to_rgba_array([STATE_INKS[int(state)] for state in states]).reshape(-1, 4)
+
+
+def stated_lines(ax: Axes, points: np.ndarray, facets: np.ndarray, state: np.ndarray, linewidth: float,
+                 color: str | None = None) -> None:
+    """Draw edges (n, 2) of a mesh coloured by the states of its nodes, or all in one colour."""
+    for line in polylines(facets):
+        segments, colors = halves(points[line], state[line])
+        ax.add_collection(LineCollection(segments, colors=color or colors, linewidths=linewidth, capstyle="butt",
+                                         zorder=4))
 
 
 def body_fills(count: int) -> list[str]:
