@@ -16,11 +16,15 @@ class OnDemand:
     make: Callable[[Any], object]  # of the object that has the field; returns the value
 
 
+#: the default of a field that reading turns into a value or :class:`Absent`, or that ``__post_init__`` fills
+ABSENT: Any = None
+
+
 class Absent(AttributeError, ValueError):
     """Raised where an optional part is read that an object does not have; ``getattr(x, name, None)`` gives None."""
 
 
-def made_on_demand(name: str, doc: str, absent: str = "") -> property:
+def made_on_demand(name: str, doc: str, absent: str = "") -> Any:
     """A property to put in the place of the field ``name`` of a dataclass, after its class statement.
 
     The field keeps its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`.

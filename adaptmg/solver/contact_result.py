@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from adaptmg._on_demand import ABSENT
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.smoother.system import OPEN, SLIP, STICK
@@ -81,9 +82,9 @@ class ContactResult:
     boundary: np.ndarray
     names: tuple[str, ...] = ("contact",)
     masters: tuple[str, ...] = ()
-    master_node: np.ndarray | None = None
-    master_force: np.ndarray | None = None
-    master_boundary: np.ndarray | None = None
+    master_node: np.ndarray = ABSENT
+    master_force: np.ndarray = ABSENT
+    master_boundary: np.ndarray = ABSENT
     axisymmetric: bool = False
 
     def __post_init__(self) -> None:
@@ -109,10 +110,10 @@ class ContactResult:
     def on_slaves(self, mesh: MeshArrays | None) -> np.ndarray:
         """Which of ``master_node`` (m,) lie on the slave of their pair; without a mesh none."""
         result = np.zeros(len(self.master_node), dtype=bool)
-        for k, name in enumerate(self.names if mesh is not None else ()):
-            mine = self.master_boundary == k
-            if mine.any():
-                result[mine] = np.isin(self.master_node[mine], mesh.boundary_nodes(name))
+        if mesh is not None:
+            for k in np.unique(self.master_boundary):
+                mine = self.master_boundary == k
+                result[mine] = np.isin(self.master_node[mine], mesh.boundary_nodes(self.names[k]))
         return result
 
     @property

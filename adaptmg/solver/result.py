@@ -7,7 +7,7 @@ import os
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import lru_cache
 from itertools import combinations
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,22 +15,20 @@ from numpy.typing import ArrayLike
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
-from adaptmg._on_demand import made_on_demand
+from adaptmg._on_demand import ABSENT, made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, as_tensors, von_mises
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.solver.certificate import Certificate, Condition, certify
+from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, certify
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.record import Status
 from adaptmg.solver.store import packed, read
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
-    from numpy.typing import ArrayLike
 
     from adaptmg.geometry.location import Location
 
@@ -122,7 +120,7 @@ class Result:
     levels: list[dict[str, float]]
     problem_name: str
     solver_name: str
-    mesh: MeshArrays = None  # a property below the class says where it is absent
+    mesh: MeshArrays = ABSENT
     start_work_units: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     stress_data: StressData | None = None
@@ -181,7 +179,7 @@ class Result:
         """
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
-            return certify(problem, self.displacement, self.contact, bound)
+            return certify(problem, self.displacement, cast("ContactClaims", self.contact), bound)
         if bound or self.checked is None:
             raise ValueError("problem: this result keeps no matrix; give the DiscreteProblem that was solved "
                              "(grids.finest.discrete)")
@@ -196,14 +194,13 @@ class Result:
         from adaptmg.transfer import PointLocator
 
         mesh = self.mesh
-        if getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points))):
-            points = [points]  # one point
-        points = check_arrays.array("points", points, (None, mesh.dim))
-        found = PointLocator(mesh).locate(points)
+        one = getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points)))
+        array = check_arrays.array("points", [points] if one else points, (None, mesh.dim))
+        found = PointLocator(mesh).locate(array)
         outside = found.distance > 1e-6 * mesh.element_sizes[found.element]
         if outside.any():
             i = int(np.argmax(outside))
-            raise ValueError(f"point {i} {points[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
+            raise ValueError(f"point {i} {array[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
         return found
 
     def stress(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
@@ -334,12 +331,6 @@ class Result:
         first = above[-1] + 1 if len(above) else 0
         return float(work[first]) if first < len(work) else float("inf")
 
-    def plot(self, kind: str = "deformation") -> Figure:
-        """Draw the result: ``am.plot.deformation``, ``am.plot.contact`` or ``am.plot.history``, by name."""
-        import adaptmg
-
-        return getattr(adaptmg.plot, checks.choice("kind", kind, ("deformation", "contact", "history")))(self)
-
     def _data(self) -> StressData:
         if self.stress_data is None or not hasattr(self, "mesh"):
             raise ValueError("this result has no materials to compute stresses from (it comes from a bare "
@@ -373,10 +364,10 @@ class Result:
         gap the mortar transmits each force without regard to its arm.
         """
         mesh = getattr(self, "mesh", None)
-        at_point = boundary in self.springs and boundary not in mesh.boundaries
+        at_point = mesh is not None and boundary in self.springs and boundary not in mesh.boundaries
         nodes, forces = (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)
         if mesh is None:
-            return Resultant(forces.sum(axis=0), None)
+            return Resultant(forces.sum(axis=0), ABSENT)
         about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
         touches = boundary in ("contact", *self.contact.names, *self.contact.masters)
         of_springs = np.array(self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3)))

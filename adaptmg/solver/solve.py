@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -165,7 +166,7 @@ def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy,
     return grids, ActiveSet(), why + "the active set method"
 
 
-def displacement_argument(name: str, value: np.ndarray | Result | None, discrete: DiscreteProblem) -> np.ndarray | None:
+def displacement_argument(name: str, value: ArrayLike | Result | None, discrete: DiscreteProblem) -> np.ndarray | None:
     """A displacement (n_nodes, dim) or a Result as unknowns of the problem, checked."""
     if value is None:
         return None
@@ -214,8 +215,11 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
     with run.phase("certificate"):
         # a solver of the user may go on with its array
         found = examiner(np.array(outcome.displacement), outcome.rtol)
-    mesh = getattr(grids.finest, "mesh", None)
-    bare = grids.problem is None or mesh is None
+    mesh = cast("Any", getattr(grids.finest, "mesh", None))
+    problem, supports, springs = grids.problem, {}, {}
+    if problem is not None and hasattr(grids.finest, "mesh"):
+        supports = held_components(mesh, problem.supports)
+        springs = spring_resultants(mesh, problem.supports, found.displacement, problem.axisymmetric)
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
     return Result(displacement=found.displacement, reaction=found.reaction, checked=found.checked,
@@ -227,11 +231,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
                   problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
-                  choice=choice, mesh=mesh,
-                  start_work_units=run.start_work_units, versions=versions(), stress_data=stress_data,
-                  supports={} if bare else held_components(mesh, grids.problem.supports),
-                  springs={} if bare else spring_resultants(mesh, grids.problem.supports, found.displacement,
-                                                            grids.problem.axisymmetric))
+                  choice=choice, mesh=mesh, start_work_units=run.start_work_units,
+                  versions=versions(), stress_data=stress_data, supports=supports, springs=springs)
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:

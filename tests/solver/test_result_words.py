@@ -102,9 +102,6 @@ def test_printing_and_notebooks_show_tables_and_pictures():
     assert path.count("M") == 4 * 4 + 2 * 4 * 5  # diagonals, and the lines of the lattice
     assert max(map(float, re.findall(r"[\d.]+", path))) <= min(int(picture.get(name)) for name in ("width", "height"))
     assert ElementTree.fromstring(cube(2)._repr_svg_()).find("{*}path").get("d").count("M") == 6 * (4 + 12)  - 24
-    assert type(result.plot("history")).__mro__[1].__name__ == "Figure"
-    with pytest.raises(ValueError, match="kind must be one of"):
-        result.plot("grids")
 
 
 def test_tables_have_a_row_each_and_units_in_their_heads():
