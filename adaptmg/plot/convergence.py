@@ -120,10 +120,12 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
     levels = max(len(result.levels), max(stop.level for stop in shown) + 1)
     ax = canvas(ax, (min(11.0, 3.4 + 0.18 * len(shown)), 1.1 + 0.62 * max(levels, 2)))
     height = np.array([stop.level for stop in shown])
-    for arrival, (color, style, label) in _TRANSFERS.items():
-        for n, k in enumerate(k for k, stop in enumerate(shown) if k and stop.arrival == arrival):
+    for k, stop in enumerate(shown):
+        if k and stop.arrival:
+            color, style, label = _TRANSFERS[stop.arrival]
+            first = stop.arrival not in {before.arrival for before in shown[1:k]}
             ax.plot([k - 1, k], height[k - 1:k + 1], color=color, linestyle=style, linewidth=1.4,
-                    label="" if n else label, zorder=2)
+                    label=label if first else None, zorder=2)
     for action, marker, face, edge, size, label in (("smooth", "o", "white", INK, 120, "smooth (sweeps)"),
                                                     ("solve", "s", GREEN, GREEN, 80, "solve")):
         if at := [k for k, stop in enumerate(shown) if stop.action == action]:

@@ -62,11 +62,8 @@ class LumpedL2(_Projection):
 
     Examples
     --------
-    >>> problem = am.cases.greco_bar()
-    >>> meshes = [am.mesh.structured(problem.domain, n) for n in (2, 3)]       # not nested
-    >>> grids = am.Hierarchy.from_meshes(problem, meshes, transfer=am.LumpedL2())
-    >>> grids.finest.prolongation.shape
-    (16, 9)
+    >>> len(am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), transfer=am.LumpedL2()))
+    2
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
@@ -91,16 +88,13 @@ class PseudoL2(_Projection):
 
     Examples
     --------
-    >>> problem = am.cases.greco_bar()
-    >>> meshes = [am.mesh.structured(problem.domain, n) for n in (2, 3)]       # not nested
-    >>> grids = am.Hierarchy.from_meshes(problem, meshes, transfer=am.PseudoL2())
-    >>> grids.finest.prolongation.shape
-    (16, 9)
+    >>> len(am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), transfer=am.PseudoL2()))
+    2
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
         coefficients = (integrals.fine.dim + 2) * integrals.shape_coefficients() - 1.0
-        coefficients /= integrals.lumped_mass[integrals.patches.nodes][:, None]
+        coefficients /= integrals.lumped_mass[integrals.patches[0]][:, None]
         return clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
 
 
@@ -119,29 +113,25 @@ class QuasiInterpolation(_Projection):
 
     Examples
     --------
-    >>> problem = am.cases.greco_bar()
-    >>> meshes = [am.mesh.structured(problem.domain, n) for n in (2, 3)]       # not nested
-    >>> grids = am.Hierarchy.from_meshes(problem, meshes, transfer=am.QuasiInterpolation())
-    >>> grids.finest.prolongation.shape
-    (16, 9)
+    >>> len(am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), transfer=am.QuasiInterpolation()))
+    2
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
-        coefficients = _patch_coefficients(integrals.fine, integrals.patches)
+        coefficients = _patch_coefficients(integrals.fine, *integrals.patches[:2])
         return clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
 
 
-def _patch_coefficients(fine: MeshArrays, patches: Patches) -> np.ndarray:
+def _patch_coefficients(fine: MeshArrays, node: np.ndarray, element: np.ndarray) -> np.ndarray:
     """c_i . q(x_k) at the corners k of every element of the patch of i (n_incidences, dim + 1)."""
-    k = fine.dim + 1
-    node, first = patches.nodes, patches.indptr[:-1]
-    relative = fine.points[fine.elements[patches.elements]] - fine.points[node][:, None, :]
+    k, first = fine.dim + 1, np.searchsorted(node, np.arange(fine.n_nodes))
+    relative = fine.points[fine.elements[element]] - fine.points[node][:, None, :]
     size = np.maximum.reduceat(np.abs(relative).max(axis=(1, 2)), first)
     q = np.concatenate([np.ones((len(node), k, 1)), relative / size[node][:, None, None]], axis=2)
     # integral of q q' over an element, from the values of q at its corners
     total = q.sum(axis=1)
     gram = np.einsum("pka,pkb->pab", q, q) + total[:, :, None] * total[:, None, :]
-    gram *= (fine.volumes[patches.elements] / (k * (k + 1)))[:, None, None]
+    gram *= (fine.volumes[element] / (k * (k + 1)))[:, None, None]
     right = np.zeros((fine.n_nodes, k, 1))
     right[:, 0] = 1.0
     c = np.linalg.solve(np.add.reduceat(gram, first, axis=0), right)[:, :, 0]
@@ -167,11 +157,8 @@ class L2(_Projection):
 
     Examples
     --------
-    >>> problem = am.cases.greco_bar()
-    >>> meshes = [am.mesh.structured(problem.domain, n) for n in (2, 3)]       # not nested
-    >>> grids = am.Hierarchy.from_meshes(problem, meshes, transfer=am.L2())
-    >>> grids.finest.prolongation.shape
-    (16, 9)
+    >>> len(am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), transfer=am.L2()))
+    2
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
@@ -226,56 +213,38 @@ COVERED = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
-    """The elements around every node."""
-
-    indptr: np.ndarray  # (n_nodes + 1,)
-    elements: np.ndarray  # (n_elements * (dim + 1),): node by node
-    corners: np.ndarray  # the same shape: the number of the node in that element
-
-    @classmethod
-    def of(cls, mesh: MeshArrays) -> Patches:
-        """Patches of all nodes."""
-        k = mesh.elements.shape[1]
-        order = np.argsort(mesh.elements.ravel(), kind="stable")
-        indptr = np.concatenate([[0], np.cumsum(np.bincount(mesh.elements.ravel(), minlength=mesh.n_nodes))])
-        return cls(indptr=indptr, elements=order // k, corners=order % k)
-
-    @cached_property
-    def nodes(self) -> np.ndarray:
-        """The node of each entry."""
-        return np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr))
-
-
-@dataclass(frozen=True, eq=False)
 class MixedMass:
     """The integrals B^e, element by element."""
 
     coarse: MeshArrays
     fine: MeshArrays
-    indptr: np.ndarray  # (n_fine_elements + 1,)
+    elements: np.ndarray  # (n_entries,): fine elements
     columns: np.ndarray  # (n_entries,): coarse nodes; one may occur more than once in an element
     values: np.ndarray  # (n_entries, dim + 1): integrals with the shape functions of the corners, m^2 or m^3
-    patches: Patches  # of the fine mesh
+
+    @cached_property
+    def patches(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of each corner of a fine element, node by node: the node, the element and the number of the corner."""
+        k = self.fine.dim + 1
+        order = np.argsort(self.fine.elements, axis=None, kind="stable")
+        return self.fine.elements.ravel()[order], order // k, order % k
 
     def assemble(self, coefficients: np.ndarray) -> sparse.csr_array:
         """Sum over patches: the product of the coefficients and the integrals, whose rows are corners of elements."""
-        k, patches = self.fine.dim + 1, self.patches
-        rows = k * (len(self.indptr) - 1)
-        corners = k * np.repeat(np.arange(len(self.indptr) - 1), np.diff(self.indptr))[:, None] + np.arange(k)
+        k, (nodes, elements, _) = self.fine.dim + 1, self.patches
+        rows, corners = k * len(self.fine.elements), k * self.elements[:, None] + np.arange(k)
         integrals = sparse.csr_array((self.values.ravel(), (corners.ravel(), np.repeat(self.columns, k))),
                                      shape=(rows, self.coarse.n_nodes))
-        given = sparse.csr_array((coefficients.ravel(), (k * patches.elements[:, None] + np.arange(k)).ravel(),
-                                  k * patches.indptr), shape=(self.fine.n_nodes, rows))
-        result = given @ integrals
+        tests = sparse.csr_array((coefficients.ravel(), (np.repeat(nodes, k),
+                                                         (k * elements[:, None] + np.arange(k)).ravel())),
+                                 shape=(self.fine.n_nodes, rows))
+        result = tests @ integrals
         result.sort_indices()
         return narrowed(result)
 
     def shape_coefficients(self) -> np.ndarray:
         """Coefficients that test with the shape function of the node: a_iek = 1 at the corner i of e, else 0."""
-        coefficients = np.zeros((len(self.patches.corners), self.fine.dim + 1))
-        coefficients[np.arange(len(coefficients)), self.patches.corners] = 1.0
-        return coefficients
+        return np.eye(self.fine.dim + 1)[self.patches[2]]
 
     @cached_property
     def lumped_mass(self) -> np.ndarray:
@@ -292,11 +261,7 @@ def mixed_mass(coarse: MeshArrays, fine: MeshArrays) -> MixedMass:
     for body, locator in body_locators(coarse, fine):
         elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
         parts += _body_entries(locator, fine, elements)
-    element, columns, values = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    order = np.argsort(element, kind="stable")
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(element, minlength=len(fine.elements)))])
-    return MixedMass(coarse=coarse, fine=fine, indptr=indptr, columns=columns[order], values=values[order],
-                    patches=Patches.of(fine))
+    return MixedMass(coarse, fine, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 def _body_entries(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> list[tuple[np.ndarray, ...]]:
