@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from scipy import sparse
 
-from adaptmg._checks import real_array, shown
+from adaptmg._checks import shown
 
 _COMPRESSED = ("csr", "csc", "bsr")
 Compressed = sparse.csr_array | sparse.csc_array | sparse.bsr_array
@@ -21,12 +21,6 @@ _LARGEST_INDEX = np.iinfo(np.int32).max
 
 def vector(name: str, value: object, size: int | None = None) -> np.ndarray:
     """Return ``value`` as a read-only one-dimensional float64 array of finite numbers."""
-    result = real_array(value)
-    if result is None:
-        raise TypeError(f"{name} must be a sequence of numbers, got {shown(value)}")
-    if result.ndim != 1 or (size is not None and result.size != size):
-        form = "a vector" if size is None else f"a vector of {size} numbers"
-        raise ValueError(f"{name} must be {form}, got shape {result.shape}")
     return array(name, value, (size,))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
@@ -66,7 +66,7 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
         (width, height), columns = ((9.0, 7.0), 1) if solid else ((6.2, 6.8), min(len(names), 3))
         rows = -(-len(names) // columns)
         parts = style.new_figure((width * columns, height * rows)).subfigures(rows, columns, squeeze=False).ravel()
-        panels = [cells(part, 4, 2) if solid else part.subplots(3, sharex=True) for part in parts[:len(names)]]
+        panels = [style.cells(part, 4, 2) if solid else part.subplots(3, sharex=True) for part in parts[:len(names)]]
     for name, drawn in zip(names, panels, strict=True):
         (_draw_surface if solid else _draw_lines)(result, name, drawn)
         title = pair_name(result.contact, name)
@@ -310,21 +310,8 @@ def chosen_boundaries(result: Result, boundary: object = None) -> tuple[str, ...
 
 def pair_name(contact: ContactResult, boundary: str) -> str:
     """Return 'slave on master', or the boundary alone in front of a rigid obstacle."""
-    masters = contact.masters or ("",) * len(contact.names)
-    master = masters[contact.names.index(boundary)]
+    master = contact.masters[contact.names.index(boundary)]
     return f"{style.quoted(boundary)} on {style.quoted(master)}" if master else style.quoted(boundary)
-
-
-def cells(part: SubFigure, count: int, columns: int, share: bool = False) -> list[Axes]:
-    """Return ``count`` axes row by row; with ``share`` on common scales, with numbers only at the left and below."""
-    grid = part.add_gridspec(-(-count // columns), columns)
-    axes: list[Axes] = []
-    for k in range(count):
-        first = axes[0] if share and axes else None
-        axes.append(part.add_subplot(grid[k // columns, k % columns], sharex=first, sharey=first))
-        if share:
-            axes[-1].tick_params(labelleft=k % columns == 0, labelbottom=k + columns >= count)
-    return axes
 
 
 def keep_open(ax: Axes, values: np.ndarray, largest: float) -> None:

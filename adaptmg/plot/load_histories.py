@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg.plot.contact_surfaces import cells, chosen_boundaries, draw_map, flattened, keep_open, lines_of, pair_name
-from adaptmg.plot.style import BLUE, label_text, new_figure, number, plain, state_lines, stated_curve, styled
+from adaptmg.plot.contact_surfaces import chosen_boundaries, draw_map, flattened, keep_open, lines_of, pair_name
+from adaptmg.plot.style import BLUE, cells, label_text, new_figure, number, plain, state_lines, stated_curve, styled
 from adaptmg.solver.result import Result
 
 _COLUMNS = 4

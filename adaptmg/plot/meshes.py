@@ -16,7 +16,7 @@ from adaptmg.estimate.step import Step
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot import style
-from adaptmg.plot.surfaces import draw_facets, finish_axes, view_of
+from adaptmg.plot.surfaces import Surface, finish_axes, view_of
 from adaptmg.solver.contact_result import ContactResult
 
 #: of marked facets
@@ -72,10 +72,8 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     dim = hierarchy.finest.mesh.dim
     if axes is None:
         columns = min(len(hierarchy), 4)
-        rows = -(-len(hierarchy) // columns)
-        figure = style.new_figure((3.1 * columns, 3.3 * rows))
-        axes = [figure.add_subplot(rows, columns, k + 1, projection="3d" if dim == 3 else None)
-                for k in range(len(hierarchy))]
+        figure = style.new_figure((3.1 * columns, 3.3 * -(-len(hierarchy) // columns)))
+        axes = style.cells(figure, len(hierarchy), columns, dim=dim)
     axes = style.axes_of(axes, len(hierarchy))
     for k, (level, ax) in enumerate(zip(levels, axes, strict=True)):
         _draw(level.mesh, style.canvas(ax, (1, 1), dim), level.discrete.contact.names)
@@ -112,7 +110,7 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str], result: ContactRe
         else:
             style.stated_lines(ax, points, drawn.facets[mine], state, 2.6, style.ORANGE if result is None else None)
     if solid:
-        draw_facets(ax, points[drawn.facets], colors)
+        ax.add_artist(Surface(points[drawn.facets], colors))
         finish_axes(ax, points, unit)
         view_of(ax, points[drawn.facets[marked]])
         return present
@@ -204,7 +202,7 @@ def _map(figure: Figure, ax: Axes, step: Step) -> None:
     if mesh.dim == 3:
         at_node = np.zeros(mesh.n_nodes)
         np.maximum.at(at_node, mesh.elements.ravel(), np.repeat(parts, 4))
-        draw_facets(ax, points[mesh.facets], colors.to_rgba(at_node[mesh.facets].min(axis=1)))
+        ax.add_artist(Surface(points[mesh.facets], colors.to_rgba(at_node[mesh.facets].min(axis=1))))
         finish_axes(ax, points, unit)
         ax.set_axis_off()
     else:

@@ -18,7 +18,7 @@ from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba_array
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.mathtext import MathTextParser
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -93,6 +93,18 @@ def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
     if (checks.instance("ax", ax, Axes, "matplotlib axes").name == "3d") != (dim == 3):
         raise ValueError(f"ax must be {'three' if dim == 3 else 'two'}-dimensional")
     return ax
+
+
+def cells(part: Figure | SubFigure, count: int, columns: int, share: bool = False, dim: int = 2) -> list[Axes]:
+    """Return ``count`` axes row by row; with ``share`` on common scales, with numbers only at the left and below."""
+    axes = part.subplots(-(-count // columns), columns, sharex=share, sharey=share, squeeze=False,
+                         subplot_kw={"projection": "3d"} if dim == 3 else {}).ravel()
+    for k, ax in enumerate(axes):
+        if k >= count:
+            ax.remove()
+        elif share and k + columns >= count:
+            ax.tick_params(labelbottom=True)
+    return list(axes[:count])
 
 
 def entitle(ax: Axes, text: str) -> None:

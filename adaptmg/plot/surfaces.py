@@ -40,26 +40,18 @@ class Lines:
     hidden: str | None = None  # colour of the parts behind the surface; None: not drawn
 
 
-def draw_facets(ax: Axes3D, corners: np.ndarray, colors: np.ndarray, lines: bool | None = None,
-                extra: tuple[Lines, ...] = (), shading: float = 0.28) -> Surface:
-    """Draw triangles (n, 3, 3) in colours (n, 4) or (n, 3, 4), their edges if ``lines``, and extra lines."""
-    edged = len(corners) <= _EDGES_UP_TO if lines is None else lines
-    width = float(np.clip(12 / np.sqrt(len(corners)), 0.15, 0.6)) if edged else 0.0
-    surface = Surface(corners, colors, width, extra, shading)
-    ax.add_artist(surface)
-    return surface
-
-
 class Surface(Artist):
-    """Shaded triangles and lines; the light stands behind the viewer's left shoulder."""
+    """Shaded triangles (n, 3, 3) in colours (n, 4) or (n, 3, 4), and lines; the light stands behind the viewer's left
+    shoulder. The edges of triangles are drawn if ``edges``, by default up to 6000 triangles."""
 
-    def __init__(self, corners: np.ndarray, colors: np.ndarray, width: float = 0.0,
+    def __init__(self, corners: np.ndarray, colors: np.ndarray, edges: bool | None = None,
                  lines: tuple[Lines, ...] = (), shading: float = 0.28) -> None:
         super().__init__()
-        self.corners = np.asarray(corners, dtype=np.float64)
+        self.corners, self.lines, self.shading = np.asarray(corners, dtype=np.float64), lines, shading
         colors = np.asarray(colors, dtype=np.float64)[..., :3]
-        self.colors = np.broadcast_to(colors[:, None] if colors.ndim == 2 else colors, (len(self.corners), 3, 3))
-        self.width, self.lines, self.shading = width, tuple(lines), shading
+        self.colors = np.broadcast_to(colors[:, None] if colors.ndim == 2 else colors, (len(corners), 3, 3))
+        edged = len(corners) <= _EDGES_UP_TO if edges is None else edges
+        self.width = float(np.clip(12 / np.sqrt(len(corners)), 0.15, 0.6)) if edged else 0.0
         self.set_clip_on(False)
         self.set_zorder(1)
 

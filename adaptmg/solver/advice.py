@@ -17,7 +17,7 @@ import numpy as np
 
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.stress import element_strain, hoop_strain
-from adaptmg.mesh.arrays import MeshArrays, signed_measures
+from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import Contact, ContactProblem, Plane, PlaneStress
 from adaptmg.smoother.system import OPEN
 from adaptmg.solver.result import Result
@@ -29,8 +29,6 @@ _LOCKED = "a force 0.1, 0.3, 1 % and a largest pressure 4, 11, 90 % too large at
 #: strains that are no longer small, where a share of a body's volume exceeds them (next to singular points they have
 #: no bound)
 STRAIN, SHARE = 0.05, 0.01
-#: strains are bounded by every sixteenth element first
-_SOME = 16
 #: spans beyond this many m are doubted for bodies of metal, or of moduli of metals and plastics in N/mm^2, Pa
 SPAN, METAL, IN_MPA = 10.0, 5e10, (1e3, 1e6)
 #: bodies do not meet if the gap that is left exceeds all displacements by this factor
@@ -121,17 +119,13 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
 def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
     materials = body_materials(mesh, problem.material)
     stiffness = [2 * one.shear_modulus + min(3 * one.lame, 0.0) for one in materials]
-    # the energy u'Au is at least that of these strains in that volume: rarely do they have to be computed, and some of
-    # the elements show it
-    for some in (slice(None, None, _SOME), slice(None)):
-        elements = mesh.elements[some]
-        volume = signed_measures(mesh.points, elements)
-        if problem.axisymmetric:
-            volume *= 2 * np.pi * mesh.points[elements, 0].mean(axis=1)
-        bodies = np.bincount(mesh.element_body[some], volume, len(mesh.bodies))
-        if result.checked is not None and (
-                result.checked.energy_norm**2 < STRAIN**2 * SHARE * (stiffness * bodies).min()):
-            return
+    volume = mesh.volumes
+    if problem.axisymmetric:
+        volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
+    bodies = np.bincount(mesh.element_body, volume, len(mesh.bodies))
+    # the energy u'Au is at least that of these strains in that volume: rarely do they have to be computed
+    if result.checked is not None and result.checked.energy_norm**2 < STRAIN**2 * SHARE * (stiffness * bodies).min():
+        return
     size = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
     if problem.axisymmetric:
         size = np.maximum(size, np.abs(hoop_strain(mesh, result.displacement)))

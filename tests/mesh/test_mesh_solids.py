@@ -270,7 +270,7 @@ def test_names_without_faces_are_an_error_only_when_used():
 @pytest.mark.parametrize(("make", "error", "message"), [
     (lambda: Cylinder((0, 0, 0), (0, 0, 0), 1, 1), ValueError, "axis must not be zero"),
     (lambda: Cylinder((0, 0, 0), (0, 0, 1), -1, 1), ValueError, "radius must be > 0"),
-    (lambda: Cylinder((0, 0), (0, 0, 1), 1, 1), ValueError, "point must be a vector of 3"),
+    (lambda: Cylinder((0, 0), (0, 0, 1), 1, 1), ValueError, r"point must have shape \(3,\)"),
     (lambda: Revolution(PROFILE, 361), ValueError, "angle must be at most 360"),
     (lambda: Revolution(Rectangle(width=1, height=1, origin=(-0.1, 0))), ValueError, "half plane r >= 0"),
     (lambda: Revolution(Polygon(vertices=((0, 0), (1, -1), (1, 1)), boundaries=("a", "b", "c"))), ValueError,

@@ -254,7 +254,7 @@ def test_a_solution_has_the_prescribed_function_in_every_step():
 
 
 VALUES = {
-    r"v must be a vector of 2 numbers, got shape \(1,\)": lambda: check_arrays.vector("v", [1.0], 2),
+    r"v must have shape \(2,\), got \(1,\)": lambda: check_arrays.vector("v", [1.0], 2),
     r"return shape \(3,\)": lambda: checks.field("f", lambda x: x, POINTS),
     r"f must be finite, got nan at \(2.0, 3.0\)": lambda: checks.field(
         "f", lambda x: np.where(x[:, 0] == 2, np.nan, 1), POINTS),
@@ -306,7 +306,7 @@ VALUES = {
         loads=(am.InitialStrain("body", (1e-3, 0)),)),
 }
 TYPES = {
-    "v must be a sequence of numbers": lambda: check_arrays.vector("v", ["a", "b"]),
+    "v must be an array of real numbers": lambda: check_arrays.vector("v", ["a", "b"]),
     "must be evaluated at the nodes first": lambda: am.Tresca(lambda x: x[:, 0]).bounds(3),
     "belong on a DiscreteProblem": lambda: am.Coulomb(np.ones(3)).at_nodes(POINTS, np.ones(3)),
     "one a component": lambda: am.Traction("top", lambda x: x),
