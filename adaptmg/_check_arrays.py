@@ -48,8 +48,8 @@ def array(name: str, value: object, shape: tuple[int | None, ...], *, integer: b
     if not isinstance(value, np.ndarray) and entries.size == 0 and entries.dtype.kind == "f":
         entries = entries.astype(np.int64)  # an empty list may stand for integers
     if entries.dtype.kind not in ("iu" if integer else "iuf") or _holds_bool(value):
-        given = f"an array of {entries.dtype}" if isinstance(value, np.ndarray) else shown(value)
-        raise TypeError(f"{name} must be an array of {kind}, got {given}")
+        actual = f"an array of {entries.dtype}" if isinstance(value, np.ndarray) else shown(value)
+        raise TypeError(f"{name} must be an array of {kind}, got {actual}")
     _check_shape(name, entries.shape, shape)
     if integer and entries.dtype.kind == "u" and entries.size and int(entries.max()) > np.iinfo(np.int64).max:
         raise ValueError(f"{name} must be below 2**63, got {int(entries.max())}")

@@ -103,8 +103,8 @@ def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, 
 
 def sum_of_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object) -> Any:
     """The sum of what ``kernel(first, last, *arguments)`` returns for parts that do not depend on the threads."""
-    found = in_parts(kernel, n, size, *arguments, joined=False)
-    return found[0] if len(found) == 1 else np.sum(found, axis=0)
+    parts = in_parts(kernel, n, size, *arguments, joined=False)
+    return parts[0] if len(parts) == 1 else np.sum(parts, axis=0)
 
 
 def _shared(stages: Sequence[Sequence[tuple[int, int]]], kernel: Callable[..., Any], arguments: tuple[object, ...],
@@ -243,8 +243,8 @@ def _by_distance(indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
     """Nodes by their distance from one of them in the graph of a matrix, part by part where it falls apart."""
     n = len(indptr) - 1
     graph = sparse.csr_array((np.ones(len(indices), dtype=np.int8), indices, indptr), shape=(n, n))
-    new, found = np.ones(n, dtype=bool), []
+    new, layers = np.ones(n, dtype=bool), []
     while new.any():
-        found.append(breadth_first_order(graph, int(np.argmax(new)), return_predecessors=False))
-        new[found[-1]] = False
-    return np.concatenate(found).astype(np.int32)
+        layers.append(breadth_first_order(graph, int(np.argmax(new)), return_predecessors=False))
+        new[layers[-1]] = False
+    return np.concatenate(layers).astype(np.int32)

@@ -100,13 +100,13 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     return page.write(path)
 
 
-def _columns(name: str, given: Sequence[str], table: pd.DataFrame) -> list[str]:
-    if isinstance(given, str):
-        raise TypeError(f"{name} must be a sequence of column names, got {given!r}: write [{given!r}]")
-    missing = [column for column in given if column not in table.columns]
+def _columns(name: str, columns: Sequence[str], table: pd.DataFrame) -> list[str]:
+    if isinstance(columns, str):
+        raise TypeError(f"{name} must be a sequence of column names, got {columns!r}: write [{columns!r}]")
+    missing = [column for column in columns if column not in table.columns]
     if missing:
         raise ValueError(f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}")
-    return list(given)
+    return list(columns)
 
 
 def _counted(table: pd.DataFrame) -> str:

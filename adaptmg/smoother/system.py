@@ -169,8 +169,8 @@ def contact_blocks(problem: DiscreteProblem, contact: NodalContact, frames: np.n
     blocks = np.einsum("nij,njk,nlk->nil", frames, blocks, frames)
     free = np.ones((len(nodes), problem.dim))
     free[:, 1:] = ~held_tangents(problem, frames)
-    kept = free[:, :, None] * free[:, None, :] + np.einsum("ni,ij->nij", 1 - free, np.eye(problem.dim))
-    blocks *= kept
+    mask = free[:, :, None] * free[:, None, :] + np.einsum("ni,ij->nij", 1 - free, np.eye(problem.dim))
+    blocks *= mask
     turn_held(blocks, np.arange(len(nodes)), contact)
     return blocks
 

@@ -187,8 +187,8 @@ class Result:
 
     def probe(self, points: ArrayLike) -> np.ndarray:
         """Displacement (n, dim), m, at points (n, dim), m; ValueError without a mesh, or for a point outside it."""
-        found = self._located(points)
-        return np.einsum("nk,nkd->nd", found.weights, self.displacement[self.mesh.elements[found.element]])
+        location = self._located(points)
+        return np.einsum("nk,nkd->nd", location.weights, self.displacement[self.mesh.elements[location.element]])
 
     def _located(self, points: ArrayLike) -> Location:
         from adaptmg.transfer import PointLocator
@@ -196,12 +196,12 @@ class Result:
         mesh = self.mesh
         one = getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points)))
         array = check_arrays.array("points", [points] if one else points, (None, mesh.dim))
-        found = PointLocator(mesh).locate(array)
-        outside = found.distance > 1e-6 * mesh.element_sizes[found.element]
+        location = PointLocator(mesh).locate(array)
+        outside = location.distance > 1e-6 * mesh.element_sizes[location.element]
         if outside.any():
             i = int(np.argmax(outside))
-            raise ValueError(f"point {i} {array[i].tolist()} lies {found.distance[i]:.3g} m outside the mesh")
-        return found
+            raise ValueError(f"point {i} {array[i].tolist()} lies {location.distance[i]:.3g} m outside the mesh")
+        return location
 
     def stress(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
         """Cauchy stress, tension positive: xx, yy, zz, xy, yz, xz (``Result.COMPONENTS``).
@@ -240,9 +240,9 @@ class Result:
     def principal_stresses(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
         """Principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose arguments it takes."""
         tensors = as_tensors(self.stress(at, recovered=recovered))
-        found, finite = np.full((len(tensors), 3), np.nan), np.isfinite(tensors).all(axis=(1, 2))
-        found[finite] = np.linalg.eigvalsh(tensors[finite])[:, ::-1]
-        return found
+        principal, finite = np.full((len(tensors), 3), np.nan), np.isfinite(tensors).all(axis=(1, 2))
+        principal[finite] = np.linalg.eigvalsh(tensors[finite])[:, ::-1]
+        return principal
 
     @property
     def energy(self) -> float:
@@ -325,8 +325,8 @@ class Result:
         names = [name for name in self.history if name not in ("cycle", "work_units", "seconds")]
         if of not in names:
             raise ValueError(f"of must be one of {', '.join(map(repr, names)) or 'none'}, got {checks.shown(of)}")
-        known = ~np.isnan(self.history[of])
-        values, work = self.history[of][known], self.history["work_units"][known]
+        recorded = ~np.isnan(self.history[of])
+        values, work = self.history[of][recorded], self.history["work_units"][recorded]
         above = np.flatnonzero(~(values <= error))
         first = above[-1] + 1 if len(above) else 0
         return float(work[first]) if first < len(work) else float("inf")
@@ -342,16 +342,16 @@ class Result:
         from adaptmg.discrete.recovery import recovered as fit
 
         values = tensors[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
-        found = None if isinstance(at, str) else self._located(at)
-        if found is None:
+        location = None if isinstance(at, str) else self._located(at)
+        if location is None:
             checks.choice("at", at, ("elements", "nodes"))
         if not checks.flag("recovered", recovered):
-            if found is None and at == "nodes":
+            if location is None and at == "nodes":
                 raise ValueError("at='nodes' needs recovered=True: the elements of a node have different values")
-            return values if found is None else values[found.element]
+            return values if location is None else values[location.element]
         cells, nodal = fit(self.mesh, values)
-        if found is not None:
-            return np.einsum("nk,nkc->nc", found.weights, nodal[cells[found.element]])
+        if location is not None:
+            return np.einsum("nk,nkc->nc", location.weights, nodal[cells[location.element]])
         return nodal[:self.mesh.n_nodes] if at == "nodes" else nodal[cells].mean(axis=1)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
@@ -483,8 +483,8 @@ class NotConverged(RuntimeError):
 
     def __init__(self, result: Result) -> None:
         self.result = result
-        found = () if result.checked is None else result.checked.contradictions(result.rtol)
-        contradicted = f" The certificate contradicts this tolerance: {', '.join(found)}." if found else ""
+        violated = () if result.checked is None else result.checked.contradictions(result.rtol)
+        contradicted = f" The certificate contradicts this tolerance: {', '.join(violated)}." if violated else ""
         super().__init__(f"{result.method}: {result.status.name} after {result.cycles} cycles, natural residual "
                          f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}."
                          f"{contradicted} The last iterate is in the exception's .result; throw=False returns "

@@ -90,22 +90,22 @@ class SingleGrid:
         reference = None if run.reference is None else restrict(local.to_local(run.reference))
         sizes = Sizes(local.discrete, local.frames) if condensed is None else _CondensedSizes(condensed)
         new_measure = partial(Measure, run=run, reference=reference, sizes=sizes)
-        given = self.smoother(), run, unknowns, self.max_sweeps
+        common = self.smoother(), run, unknowns, self.max_sweeps
 
         def shortfall(rtol: float) -> float:
             return run.shortfall(displacement(unknowns), rtol)
 
         with run.phase("sweeps"):
             if self.friction == "fixed point":
-                sweeps = _TrescaProblems(problem, *given, new_measure, self.rtol)
+                sweeps = _TrescaProblems(problem, *common, new_measure, self.rtol)
                 stop = StopTest(self.rtol, self.max_sweeps, shortfall, stalled=None)
                 status = iterate(sweeps, stop, run)
             elif self.stop == "change":
-                stop, sweeps = ChangeTest(self.rtol, self.max_sweeps), _Sweeps(problem, *given, new_measure, batch=1)
+                stop, sweeps = ChangeTest(self.rtol, self.max_sweeps), _Sweeps(problem, *common, new_measure, batch=1)
                 status = WholeSteps(sweeps, corrects=False).run(stop, run)
             else:
                 stop = StopTest(self.rtol, self.max_sweeps, shortfall, stalled=Status.CYCLING)
-                sweeps = _Sweeps(problem, *given, new_measure)
+                sweeps = _Sweeps(problem, *common, new_measure)
                 status = iterate(sweeps, stop, run)
         run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
         with run.phase("factorise" if self.condensed else "sweeps"):

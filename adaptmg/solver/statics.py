@@ -89,8 +89,8 @@ class _Body:
     @property
     def pieces(self) -> list[tuple[str, np.ndarray]]:
         """The bodies of this part, by what they are called, and their nodes."""
-        known = self.problem.bodies or {}
-        inside = [(f"body {name!r}", nodes) for name, nodes in known.items() if np.isin(nodes[0], self.nodes)]
+        bodies = self.problem.bodies or {}
+        inside = [(f"body {name!r}", nodes) for name, nodes in bodies.items() if np.isin(nodes[0], self.nodes)]
         if inside and (self.several or len(inside) > 1):
             return inside
         return [(f"the body of node {self.nodes[0]} ({len(self.nodes)} nodes)" if self.several else "", self.nodes)]
@@ -120,10 +120,10 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     modes, forces = problem.near_nullspace[dofs], stiff[dofs] / np.abs(problem.matrix.data).max()
     # the modes of all bodies, restricted to one, are dependent: an orthonormal basis by their Gram matrix
     values, vectors = np.linalg.eigh(modes.T @ modes)
-    kept = values > 1e-12 * values[-1]
-    if not kept.any():
+    independent = values > 1e-12 * values[-1]
+    if not independent.any():
         return modes[:, :0]
-    basis = vectors[:, kept] * np.sqrt(len(nodes) / values[kept])
+    basis = vectors[:, independent] * np.sqrt(len(nodes) / values[independent])
     modes, forces = modes @ basis, forces @ basis
     strained = np.abs(forces).max(axis=1) > 1e-9
     # springs far softer than the body hold it too
@@ -260,9 +260,9 @@ def _plain_motions(body: _Body) -> np.ndarray:
             field = np.zeros((problem.n_nodes, problem.dim))
             field[nodes] = motion
             fields.append(problem.relative(field)[body.nodes])
-    wanted = np.stack([field.reshape(-1) for field in fields], axis=1)
-    coefficients = body.motions.T @ wanted / n
-    free = np.abs(body.motions @ coefficients - wanted).max(axis=0) <= 1e-8
+    motions = np.stack([field.reshape(-1) for field in fields], axis=1)
+    coefficients = body.motions.T @ motions / n
+    free = np.abs(body.motions @ coefficients - motions).max(axis=0) <= 1e-8
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
 
 

@@ -282,18 +282,18 @@ def _body_entries(locator: PointLocator, fine: MeshArrays, elements: np.ndarray)
         element, columns, values = (np.concatenate([a, np.empty_like(a)]) for a in (element, columns, values))
     whole = np.zeros(len(fine.elements), dtype=bool)
     whole[elements] = np.abs(covered - 1.0) <= COVERED
-    kept = np.flatnonzero(whole[element[:count]])
-    volumes = fine.volumes[element[kept]]
-    clipped = element[kept], columns[kept], values[kept] * volumes[:, None]
+    entries = np.flatnonzero(whole[element[:count]])
+    volumes = fine.volumes[element[entries]]
+    clipped = element[entries], columns[entries], values[entries] * volumes[:, None]
     return [clipped, _quadrature(locator, fine, elements[~whole[elements]])]
 
 
 def _quadrature(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> tuple[np.ndarray, ...]:
     shape, weights = simplex_rule(fine.dim, 4)
     points = np.einsum("qv,evc->eqc", shape, fine.points[fine.elements[elements]])
-    found = locator.locate(points.reshape(-1, fine.dim))
-    columns = locator.mesh.elements[found.element]
-    scaled = found.weights.reshape(len(elements), len(weights), fine.dim + 1) * fine.volumes[elements][:, None, None]
+    location = locator.locate(points.reshape(-1, fine.dim))
+    columns = locator.mesh.elements[location.element]
+    scaled = location.weights.reshape(len(elements), len(weights), fine.dim + 1) * fine.volumes[elements][:, None, None]
     values = np.einsum("eqj,q,qv->eqjv", scaled, weights, shape)
     return (np.repeat(elements, len(weights) * columns.shape[1]), columns.ravel(), values.reshape(-1, columns.shape[1]))
 
