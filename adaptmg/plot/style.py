@@ -87,7 +87,7 @@ def new_figure(size: tuple[float, float]) -> Figure:
 
 
 def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
-    """``ax``, or the axes of a new figure of ``size`` inches; three-dimensional where ``dim`` is 3."""
+    """Return ``ax``, or the axes of a new figure of ``size`` inches; three-dimensional where ``dim`` is 3."""
     if ax is None:
         return new_figure(size).add_subplot(projection="3d" if dim == 3 else None)
     if (checks.instance("ax", ax, Axes, "matplotlib axes").name == "3d") != (dim == 3):

@@ -60,7 +60,7 @@ class LocalSystem:
 
     @classmethod
     def from_matrix(cls, matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray) -> LocalSystem:
-        """From an eliminated matrix in local components (fixed rows and columns already decoupled)."""
+        """Make it from an eliminated matrix in local components (fixed rows and columns already decoupled)."""
         dim = matrix.blocksize[0]
         n_nodes = matrix.shape[0] // dim
         if not matrix.has_sorted_indices:
@@ -86,12 +86,12 @@ class LocalSystem:
 
     @property
     def nonzeros(self) -> int:
-        """Stored entries: the unit in which work is counted."""
+        """Return the number of stored entries: the unit in which work is counted."""
         return len(self.data)
 
     @property
     def matrix(self) -> sparse.bsr_array:
-        """The matrix, sharing memory."""
+        """Return the matrix, sharing memory."""
         blocks = self.data.reshape(-1, self.dim, self.dim)
         return sparse.bsr_array((blocks, self.indices, self.indptr), shape=(self.n_dofs, self.n_dofs), copy=False)
 
@@ -119,13 +119,13 @@ class LocalProblem:
     discrete: DiscreteProblem  # the problem in Cartesian components
 
     def to_local(self, displacement: np.ndarray) -> np.ndarray:
-        """Cartesian displacement (n_nodes, dim) or (n_dofs,) -> local unknowns (n_dofs,)."""
+        """Return the local unknowns (n_dofs,) of a Cartesian displacement (n_nodes, dim) or (n_dofs,)."""
         w = rotate(self.discrete.from_prescribed(displacement), self.frames, self.system.nodes)
         w[self.system.fixed] = 0.0
         return w
 
     def to_cartesian(self, unknowns: np.ndarray) -> np.ndarray:
-        """Local unknowns (n_dofs,) -> Cartesian displacement (n_nodes, dim), prescribed values included, m."""
+        """Return the Cartesian displacement (n_nodes, dim), m, prescribed values included, of local unknowns."""
         u = rotate_back(unknowns, self.frames, self.system.nodes)
         return self.discrete.with_prescribed(u).reshape(-1, self.system.dim)
 

@@ -98,17 +98,17 @@ class ContactResult:
 
     @property
     def pair(self) -> np.ndarray:
-        """Name of the contact boundary or pair ("slave on master") of each node (n,), str."""
+        """Return the name of the contact boundary or pair ("slave on master") of each node (n,), str."""
         return np.array(self.pair_names)[self.boundary]
 
     @property
     def pair_names(self) -> list[str]:
-        """For each of ``names`` the contact boundary, or "slave on master"."""
+        """Return for each of ``names`` the contact boundary, or "slave on master"."""
         return [f"{slave} on {master}" if master else slave
                 for slave, master in zip(self.names, self.masters, strict=True)]
 
     def on_slaves(self, mesh: MeshArrays | None) -> np.ndarray:
-        """Which of ``master_node`` (m,) lie on the slave of their pair; without a mesh none."""
+        """Return which of ``master_node`` (m,) lie on the slave of their pair; without a mesh none."""
         result = np.zeros(len(self.master_node), dtype=bool)
         if mesh is not None:
             for k in np.unique(self.master_boundary):
@@ -118,17 +118,17 @@ class ContactResult:
 
     @property
     def closed(self) -> np.ndarray:
-        """Which nodes (n,) are in contact: not open."""
+        """Return which nodes (n,) are in contact: not open."""
         return self.state != OPEN
 
     @property
     def units(self) -> tuple[str, str]:
-        """Units of forces and of boundary masses: N and m^2, in plane problems N/m and m."""
+        """Return the units of forces and of boundary masses: N and m^2, in plane problems N/m and m."""
         plane = self.frames.shape[1] == 2 and not self.axisymmetric
         return ("N/m", "m") if plane else ("N", "m^2")
 
     def counts(self, own: np.ndarray | None = None) -> dict[str, int]:
-        """Number of nodes by state, 'open', 'slip' and 'stick'; of all nodes or of those in the mask ``own``."""
+        """Return the number of nodes by state, 'open', 'slip' and 'stick'; of all or of those in the mask ``own``."""
         states = np.asarray(self.state if own is None else self.state[own])
         return {name: int((states == code).sum()) for name, code in _STATES.items()}
 
@@ -156,22 +156,22 @@ class ContactResult:
 
     @property
     def pressure(self) -> np.ndarray:
-        """Compressive nodal force over lumped boundary mass (n,), Pa; 0 at open nodes."""
+        """Return the compressive nodal force over lumped boundary mass (n,), Pa; 0 at open nodes."""
         return np.where(self.closed, self.force_n / self.weights, 0.0)
 
     @property
     def traction(self) -> np.ndarray:
-        """Tangential nodal force over lumped boundary mass (n, dim - 1), Pa; 0 at open nodes."""
+        """Return the tangential nodal force over lumped boundary mass (n, dim - 1), Pa; 0 at open nodes."""
         return np.where(self.closed[:, None], self.force_t / self.weights[:, None], 0.0)
 
     @property
     def normal(self) -> np.ndarray:
-        """Unit normals out of the body (n, dim)."""
+        """Return the unit normals out of the body (n, dim)."""
         return self.frames[:, 0]
 
     @property
     def force(self) -> np.ndarray:
-        """Contact forces on the contact nodes, Cartesian (n, dim), N (2D: N/m)."""
+        """Return the contact forces on the contact nodes, Cartesian (n, dim), N (2D: N/m)."""
         return from_frames(self.frames, np.column_stack([-self.force_n, self.force_t]))
 
     def __len__(self) -> int:

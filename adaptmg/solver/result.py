@@ -135,17 +135,17 @@ class Result:
 
     @property
     def method(self) -> str:
-        """The name of the solver, and of what took over from it."""
+        """Return the name of the solver, and of what took over from it."""
         return f"{self.solver_name}, then {self.fallback}" if self.fallback else self.solver_name
 
     @property
     def dim(self) -> int:
-        """Space dimension."""
+        """Return the space dimension."""
         return self.displacement.shape[1]
 
     @property
     def seconds(self) -> float:
-        """Seconds of all phases of the solve (set-up included; meshing, assembly and compiling not)."""
+        """Return the seconds of all phases of the solve, set-up included, without meshing, assembly and compiling."""
         return float(sum(seconds for phase, seconds in self.timings.items() if phase != "compiling"))
 
     def __repr__(self) -> str:
@@ -172,7 +172,7 @@ class Result:
                 f"{self.timings.get('certificate', 0.0):.2g} s")
 
     def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
-        """By how much each condition of the contact problem is violated, by code that shares nothing with the solvers.
+        """Check by how much each condition of contact is violated, by code that shares nothing with the solvers.
 
         Without ``problem``: what was found when the problem was solved; with it that is checked again, and ``bound``
         bounds the energy error by a sparse factorisation.
@@ -186,7 +186,7 @@ class Result:
         return self.checked
 
     def probe(self, points: ArrayLike) -> np.ndarray:
-        """Displacement (n, dim), m, at points (n, dim), m; ValueError without a mesh, or for a point outside it."""
+        """Return the displacement (n, dim), m, at points (n, dim), m; ValueError without a mesh, or outside it."""
         location = self._located(points)
         return np.einsum("nk,nkd->nd", location.weights, self.displacement[self.mesh.elements[location.element]])
 
@@ -204,7 +204,7 @@ class Result:
         return location
 
     def stress(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
-        """Cauchy stress, tension positive: xx, yy, zz, xy, yz, xz (``Result.COMPONENTS``).
+        """Return the Cauchy stress, tension positive: xx, yy, zz, xy, yz, xz (``Result.COMPONENTS``).
 
         In 2D zz is the stress through the thickness, yz and xz are 0. In axisymmetry x is r, y the axis, zz the hoop.
 
@@ -226,7 +226,7 @@ class Result:
         return self._values(self._data().tensors(self.mesh, self.displacement), at, recovered)
 
     def strain(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
-        """Strain tensor (n, 6), initial strains included: xx, yy, zz, xy, yz, xz; arguments as of :meth:`stress`.
+        """Return the strain (n, 6), initial strains included: xx, yy, zz, xy, yz, xz; arguments as of :meth:`stress`.
 
         xy is half of the change of the angle. zz is the strain through the thickness (0 in plane strain), in
         axisymmetry the hoop strain.
@@ -234,11 +234,11 @@ class Result:
         return self._values(self._data().strains(self.mesh, self.displacement), at, recovered)
 
     def von_mises(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
-        """Von Mises stress (n,), Pa, of :meth:`stress`, whose arguments it takes."""
+        """Return the von Mises stress (n,), Pa, of :meth:`stress`, whose arguments it takes."""
         return von_mises(as_tensors(self.stress(at, recovered=recovered)))
 
     def principal_stresses(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
-        """Principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose arguments it takes."""
+        """Return the principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose arguments it takes."""
         tensors = as_tensors(self.stress(at, recovered=recovered))
         principal, finite = np.full((len(tensors), 3), np.nan), np.isfinite(tensors).all(axis=(1, 2))
         principal[finite] = np.linalg.eigvalsh(tensors[finite])[:, ::-1]
@@ -246,7 +246,7 @@ class Result:
 
     @property
     def energy(self) -> float:
-        """Strain energy, J (plane problems: J/m): u'Au / 2, or with initial strains that of the elastic strains.
+        """Return the strain energy, J (plane: J/m): u'Au / 2, with initial strains that of the elastic strains.
 
         The potential of loads and friction is not part of it.
         """
@@ -254,12 +254,12 @@ class Result:
 
     @property
     def contact_area(self) -> float:
-        """Area of the surfaces in contact, m^2 (plane problems: length, m): boundary masses of nodes not open."""
+        """Return the area in contact, m^2 (plane problems: length, m): boundary masses of nodes not open."""
         return float(self.contact.weights[self.contact.closed].sum())
 
     @property
     def max_pressure(self) -> float:
-        """Largest contact pressure of a node (force over boundary mass), Pa; 0 without contact nodes.
+        """Return the largest contact pressure of a node (force over boundary mass), Pa; 0 without contact nodes.
 
         A node where a contact boundary ends, at a plane or an axis of symmetry too, is the least accurate.
         """
@@ -267,7 +267,7 @@ class Result:
 
     @property
     def contact_extent(self) -> np.ndarray:
-        """Half-widths (dim,) of the surfaces in contact along x, y (and z), m; 0 without contact.
+        """Return the half-widths (dim,) of the surfaces in contact along x, y (and z), m; 0 without contact.
 
         Half the sides of the box around them, in axisymmetry first their outer radius; half a (symmetric) model has
         half of its half. They end halfway between a node in contact and an open one. ValueError without a mesh.
@@ -316,7 +316,7 @@ class Result:
         return pandas.DataFrame(rows)
 
     def work_to(self, error: float, of: str = "error_estimate") -> float:
-        """Work units until an error of the history fell below ``error``, and stayed there; infinite if it never did.
+        """Return the work units until an error of the history fell below ``error`` for good; infinite if it never did.
 
         ``of`` is the column of ``history``: "error_estimate" (algebraic: the estimate of ||u - u_h||_A / ||u_h||_A),
         "true_error" (with a reference), "residual" or "change", all relative. The nested start is included.
@@ -355,7 +355,7 @@ class Result:
         return nodal[:self.mesh.n_nodes] if at == "nodes" else nodal[cells].mean(axis=1)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
-        """Force, N, and moment about a point (dim,), m (default: the origin), N m, on the body through a boundary.
+        """Return force, N, and moment, N m, on the body through a boundary; about a point (dim,), m, or the origin.
 
         ``boundary`` is 'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its
         contact forces), or any other boundary (reactions of its supports and springs), or "point (0, 1)" of a
@@ -435,7 +435,7 @@ Resultant.moment = made_on_demand("moment", "N m (2D: N).", "a result without a 
 
 
 def label(option: object) -> str:
-    """The name of an option object with the fields that differ from their defaults, for tables and pictures."""
+    """Return the name of an option object with the fields that differ from their defaults, for tables and pictures."""
     if not is_dataclass(option) or isinstance(option, type):
         return repr(option)
     shown = []
@@ -448,7 +448,7 @@ def label(option: object) -> str:
 
 
 def problem_name(grids: Hierarchy) -> str:
-    """Of the problem, or else of the finest level."""
+    """Return the name of the problem, or else of the finest level."""
     return grids.problem.name if grids.problem is not None else grids.finest.discrete.name
 
 
@@ -459,7 +459,7 @@ def _versions() -> dict[str, str]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of adaptmg and of what its numbers depend on."""
+    """Return the versions of adaptmg and of what its numbers depend on."""
     return dict(_versions())
 
 

@@ -44,7 +44,7 @@ Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
 
 class _Projection(ABC):
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
-        """Nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        """Return the nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
         return self._rows(mixed_mass(coarse, fine))
 
     @abstractmethod
