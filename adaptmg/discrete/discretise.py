@@ -23,7 +23,7 @@ Load steps have nodal loads and prescribed displacements by name, so that every 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 
@@ -35,7 +35,7 @@ from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
 from adaptmg._on_demand import OnDemand
 from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
-from adaptmg.discrete.elasticity import body_materials
+from adaptmg.discrete.elasticity import Materials, body_materials
 from adaptmg.discrete.exchange import ScaledLaw, find_carriers
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
@@ -47,7 +47,7 @@ from adaptmg.discrete.supports import fixed_dofs, supported_nodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.load_path import DEFAULT, name_in_path
-from adaptmg.problem.loads import InitialStrain
+from adaptmg.problem.loads import InitialStrain, Load
 from adaptmg.problem.surfaces import ContactPair
 
 _LOG = logging.getLogger(__name__)
@@ -98,11 +98,19 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
              "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
+    parts["strain_free"] = _strain_free(mesh, problem.loads, materials)
     for array in (parts["load"], fixed, values, *bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
     if weights is None:
         return DiscreteProblem.assembled(**parts)
     return DiscreteProblem.coupled(**parts, weights=weights)
+
+
+def _strain_free(mesh: MeshArrays, loads: Sequence[Load], materials: Materials) -> tuple[np.ndarray, float] | None:
+    strains = [load for load in loads if isinstance(load, InitialStrain)]
+    if not strains:
+        return None
+    return load_vector(mesh, strains, materials), StressData.of(mesh, materials, strains).suppressed(mesh)
 
 
 def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
@@ -161,7 +169,12 @@ def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
     parts = {"law": law if old.exchange is None else ScaledLaw(law, np.abs(old.exchange.sigma)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if changed:
-        load = old.relative_forces(load_vector(mesh, problem.loads, body_materials(mesh, problem.material)))
+        materials = body_materials(mesh, problem.material)
+        load, strain_free = load_vector(mesh, problem.loads, materials), _strain_free(mesh, problem.loads, materials)
+        load = old.relative_forces(load)
+        if strain_free is not None:
+            strain_free = old.relative_forces(strain_free[0]), strain_free[1]
+        parts["strain_free"] = strain_free
         check_size("load", np.abs(load).max())
         parts["load"] = bounded("load", load, (old.n_dofs,))
     return old.posing(**parts)
@@ -352,12 +365,21 @@ class LoadSteps:
     prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
     stress: StressData | None = None  # what stresses follow from before initial strains; None without a problem
     strains: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_elements, 3)
+    strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
+    mesh: MeshArrays | None = None
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | None:
         """What the stresses of a step follow from."""
         if not self.strains:
             return self.stress
         return replace(self.stress, initial_strain=sum(factors[name] * strain for name, strain in self.strains.items()))
+
+    def strain_free(self, factors: Mapping[str, float]) -> tuple[np.ndarray, float] | None:
+        """See :class:`DiscreteProblem`."""
+        if not self.strains:
+            return None
+        load = sum(factors[name] * load for name, load in self.strain_loads.items())
+        return load, self.stress_data(factors).suppressed(self.mesh)
 
     def load(self, factors: Mapping[str, float]) -> np.ndarray:
         """Nodal forces (n_dofs,) of a step, N."""
@@ -386,19 +408,21 @@ class LoadSteps:
 
 def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> LoadSteps:
     """The loads and supports of a problem one by one."""
-    loads, strains = {}, {}
+    loads, strains, strain_loads = {}, {}, {}
     for name in dict.fromkeys(map(name_in_path, problem.loads)):
         named = [load for load in problem.loads if name_in_path(load) == name]
         forces = load_vector(mesh, named, problem.material)
         loads[name] = discrete.relative_forces(forces)
-        if any(isinstance(load, InitialStrain) for load in named):
-            strains[name] = StressData.of(mesh, problem.material, named).initial_strain
+        if (own := [load for load in named if isinstance(load, InitialStrain)]):
+            strains[name] = StressData.of(mesh, problem.material, own).initial_strain
+            strain_loads[name] = discrete.relative_forces(load_vector(mesh, own, problem.material))
     prescribed = {}
     for name in dict.fromkeys(map(name_in_path, problem.supports)):
         fixed, values = fixed_dofs(mesh, [support for support in problem.supports if name_in_path(support) == name])
         dofs = np.flatnonzero(fixed)
         prescribed[name] = dofs, values[dofs]
-    return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed, StressData.of(mesh, problem.material), strains)
+    return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed, StressData.of(mesh, problem.material), strains,
+                     strain_loads, mesh)
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:

@@ -73,6 +73,8 @@ class DiscreteProblem(Unknowns):
         Says that all of the above is in relative coordinates; see :meth:`coupled`.
     bodies : mapping of str to (n,) int arrays, optional
         Nodes of each body by name, for messages.
+    strain_free : pair of (n_dofs,) array and float, optional
+        Of initial strains the part of ``load``, N, and the energy of suppressing them, N m; see :meth:`stress_energy`.
     exchange : Exchange, optional
         Contact as it was posed where slave and master were exchanged at single nodes
         (:mod:`adaptmg.discrete.exchange`).
@@ -100,13 +102,15 @@ class DiscreteProblem(Unknowns):
     coupling: Coupling | None = None
     bodies: Mapping[str, np.ndarray] | None = None
     exchange: Exchange | None = None
+    strain_free: tuple[np.ndarray, float] | None = None
 
     if TYPE_CHECKING:
         def __init__(self, *, matrix: sparse.sparray | sparse.spmatrix, load: ArrayLike, fixed: ArrayLike, law: Law,
                      contact: ContactNodes, fixed_values: ArrayLike | None = None,
                      coordinates: ArrayLike | None = None, near_nullspace: ArrayLike | None = None,
                      name: str = "discrete problem", coupling: Coupling | None = None,
-                     bodies: Mapping[str, np.ndarray] | None = None, exchange: Exchange | None = None) -> None: ...
+                     bodies: Mapping[str, np.ndarray] | None = None, exchange: Exchange | None = None,
+                     strain_free: tuple[np.ndarray, float] | None = None) -> None: ...
 
     @classmethod
     def assembled(cls, **parts: object) -> DiscreteProblem:
@@ -124,7 +128,8 @@ class DiscreteProblem(Unknowns):
     def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law, contact: ContactNodes,
                 weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
                 coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | OnDemand | None = None,
-                name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None) -> DiscreteProblem:
+                name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None,
+                strain_free: tuple[np.ndarray, float] | None = None) -> DiscreteProblem:
         """Several bodies in contact, from their uncoupled matrix and load: in relative coordinates, with ``coupling``.
 
         Parameters as of the class, in displacements, as are those of the Result of :func:`adaptmg.solve`. ``weights``
@@ -156,17 +161,28 @@ class DiscreteProblem(Unknowns):
         elif coordinates is not None:
             points = bounded("coordinates", coordinates, (n // dim, dim), checks.VAST)
             near_nullspace = coupling.relative(rigid_body_modes(points))
+        if strain_free is not None:
+            strain_free = coupling.relative_forces(strain_free[0]), strain_free[1]
         make = cls.assembled if own else cls
         return make(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
                     load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
                     coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
-                    near_nullspace=near_nullspace)
+                    near_nullspace=near_nullspace, strain_free=strain_free)
 
     def __repr__(self) -> str:
         return shortened(f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} of "
                          f"{self.n_dofs} dofs fixed, {len(self.contact)} contact nodes, {self.law!r}")
 
-    def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray) -> DiscreteProblem:
+    def stress_energy(self, displacement: np.ndarray, energy: float) -> float:
+        """Of a displacement (n_dofs,), relative coordinates, with the energy u'Au, N m, that of its stresses: without
+        the share that expands freely. At least 1e-8 of what suppresses the expansion: less is rounding."""
+        if self.strain_free is None:
+            return energy
+        load, suppressed = self.strain_free
+        return max(energy - 2 * float(np.einsum("i,i->", displacement, load)) + suppressed, 1e-8 * suppressed)
+
+    def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray,
+                  strain_free: tuple[np.ndarray, float] | None = None) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a coupling relative ones),
@@ -177,7 +193,8 @@ class DiscreteProblem(Unknowns):
         object.__setattr__(contact, "slip_reference", reference)
         values = bounded("fixed_values", fixed_values, (self.n_dofs,))
         values = bounded("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
-        return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact)
+        return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact,
+                           strain_free=strain_free)
 
     def posing(self, **parts: object) -> DiscreteProblem:
         """The same with other parts (load, law, ...), which have been checked."""

@@ -84,6 +84,19 @@ class StressData:
             strain[:, np.arange(3), np.arange(3)] += self.initial_strain
         return strain
 
+    def suppressed(self, mesh: MeshArrays) -> float:
+        """Energy of the stresses that suppress the initial strains, N m; of plane bodies that of those in the plane."""
+        body, dim = mesh.element_body, 3 if self.axisymmetric else mesh.dim
+        lame, shear, volume = self.lame[body, None], self.shear[body, None], mesh.volumes
+        if self.axisymmetric:
+            volume = 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * volume
+        strain = self.initial_strain.copy()
+        strain[(self.kind == _THIN)[body], 2] = 0.0
+        stress = (lame * strain.sum(axis=1, keepdims=True) + 2 * shear * strain)[:, :dim]
+        # what strains in the plane alone are under this stress
+        elastic = (stress - lame / (dim * lame + 2 * shear) * stress.sum(axis=1, keepdims=True)) / (2 * shear)
+        return float(np.einsum("n,nd,nd->", volume, stress, elastic))
+
     def energy(self, mesh: MeshArrays, displacement: np.ndarray) -> float:
         """Strain energy, J (plane: J/m)."""
         elastic, u = self._elastic(mesh, displacement), _nodal(mesh, displacement)

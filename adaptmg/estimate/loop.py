@@ -339,7 +339,8 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     reference = discrete.contact.slip_reference
     if k > 0:
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
-    posed = finest.posing(discrete=discrete.with_step(loads.load(factors), loads.fixed_values(factors), reference))
+    step = discrete.with_step(loads.load(factors), loads.fixed_values(factors), reference, loads.strain_free(factors))
+    posed = finest.posing(discrete=step)
     return replace(hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors))
 
 

@@ -66,7 +66,8 @@ class ActiveSet:
         interior point costs as many linear solves as all the Newton steps that it saves.
     rtol : float
         For the relative A-norm of the last Newton step (ten times that while the contact status changes), which bounds
-        the error of the iterate before it, and, times 10, for the relative natural residual.
+        the error of the iterate before it, and, times 10, for the relative natural residual. Where initial strains
+        act, relative to u without what expands freely.
     max_steps : int
         Steps at most.
     nested_start : bool

@@ -18,7 +18,7 @@ import numpy as np
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.stress import element_strain, hoop_strain
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import Contact, ContactProblem, Plane, PlaneStress
+from adaptmg.problem import Contact, ContactProblem, InitialStrain, Plane, PlaneStress
 from adaptmg.smoother.system import OPEN
 from adaptmg.solver.result import Result
 
@@ -124,7 +124,8 @@ def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result
         volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
     bodies = np.bincount(mesh.element_body, volume, len(mesh.bodies))
     # the energy u'Au is at least that of these strains in that volume: rarely do they have to be computed
-    if result.checked is not None and result.checked.energy_norm**2 < STRAIN**2 * SHARE * (stiffness * bodies).min():
+    stressed = result.checked is not None and not any(isinstance(load, InitialStrain) for load in problem.loads)
+    if stressed and result.checked.energy_norm**2 < STRAIN**2 * SHARE * (stiffness * bodies).min():
         return
     size = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
     if problem.axisymmetric:

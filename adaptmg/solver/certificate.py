@@ -52,7 +52,8 @@ class Certificate:
     exact_energy : bool
         Whether a factorisation was made.
     force, displacement, energy_norm : float
-        The scales of the lines: N, m, and sqrt(u'Au) (sqrt(N m)); in 2D per metre of thickness.
+        The scales of the lines: N, m, and sqrt(u'Au) (sqrt(N m)), of u without what initial strains expand freely; in
+        2D per metre of thickness.
 
     Examples
     --------
@@ -184,7 +185,8 @@ class Evidence:
         if known is None:
             images, diagonal = product_and_diagonal(problem.matrix, self.unknowns.reshape(-1))
             known = problem.load - images, float(np.sqrt(max(_sum(self.unknowns, images), 0.0))), diagonal
-        residual, self.energy, self.diagonal = known
+        residual, energy, self.diagonal = known
+        self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), energy**2)))
         self.fixed = problem.fixed.reshape(shape)
         self.stiffness = np.diagonal(self.diagonal[problem.contact.nodes], axis1=1, axis2=2).max(axis=1)
         self.normals = self.posed.normals

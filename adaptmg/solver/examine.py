@@ -198,9 +198,10 @@ def euclidean_norm(vector: np.ndarray) -> float:
 
 
 def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> float:
-    """||u||_A of a displacement (n_dofs,), prescribed values included; Cartesian, between bodies relative."""
+    """||u||_A of the stresses of a displacement (n_dofs,), prescribed values included; Cartesian, between bodies
+    relative."""
     flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
-    return energy_norm(flat, problem.matrix @ flat)
+    return float(np.sqrt(problem.stress_energy(flat, energy_norm(flat, problem.matrix @ flat) ** 2)))
 
 
 class Sizes:
@@ -210,10 +211,9 @@ class Sizes:
 
     def __init__(self, problem: DiscreteProblem, frames: np.ndarray | None = None) -> None:
         self.load = euclidean_norm(problem.load)
-        self.prescribed = bool(problem.fixed_values.any())
+        self.prescribed, self._problem, self._frames = bool(problem.fixed_values.any()), problem, frames
         if not self.prescribed:
             return
-        self._problem, self._frames = problem, frames
         lift = problem.matrix @ problem.fixed_values
         self._jump = float(np.einsum("i,i->", problem.fixed_values, lift))
         self._rows = sparse.csr_array(problem.matrix)[np.flatnonzero(problem.fixed)]
@@ -229,15 +229,18 @@ class Sizes:
         return bool(np.abs(unknowns).max(initial=0.0) <= 10 * np.abs(self._problem.fixed_values).max())
 
     def norm(self, unknowns: np.ndarray, energy: float) -> float:
-        """||u||_A from the unknowns w (n_dofs,), zero at fixed dofs, and w'Aw (N m)."""
+        """||u||_A of the stresses, from the unknowns w (n_dofs,), zero at fixed dofs, and w'Aw (N m)."""
         if self.prescribed:
             energy += 2 * float(np.einsum("i,i->", unknowns, self._lift)) + self._jump
+        if self._problem.strain_free is not None:
+            energy = self._problem.stress_energy(self._cartesian(unknowns) + self._problem.fixed_values, energy)
         return float(np.sqrt(max(energy, 0.0)))
 
     def forces(self, unknowns: np.ndarray, contact: float) -> float:
         """The largest of the norms of load, contact forces (given, N) and, where values are prescribed, reactions."""
         if not self.prescribed:
             return max(self.load, contact)
-        if self._frames is not None:
-            unknowns = rotate_back(unknowns, self._frames, self._problem.contact.nodes)
-        return max(self.load, contact, euclidean_norm(self._rows @ unknowns + self._offset))
+        return max(self.load, contact, euclidean_norm(self._rows @ self._cartesian(unknowns) + self._offset))
+
+    def _cartesian(self, unknowns: np.ndarray) -> np.ndarray:
+        return unknowns if self._frames is None else rotate_back(unknowns, self._frames, self._problem.contact.nodes)

@@ -415,7 +415,8 @@ class PathLoop:
                 problem, reference = level.discrete, level.discrete.contact.slip_reference
                 if self.past.given:
                     reference = problem.at_contact(self.past.levels[number - offset])
-                step = problem.with_step(loads.load(factors), loads.fixed_values(factors), reference)
+                step = problem.with_step(loads.load(factors), loads.fixed_values(factors), reference,
+                                         loads.strain_free(factors))
                 level = level.posing(discrete=step)
             levels.append(level)
         return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))

@@ -70,7 +70,8 @@ class Multigrid:
         Test the estimated relative A-norm error (with the natural residual below 10 times the tolerance, the default),
         or, as the paper, the change at the end of step g alone: Euclidean, relative to the solution.
     rtol : float or "discretisation"
-        Tolerance of that test. "discretisation" (FullMultigrid with Truncated): a tenth of the discretisation error, as
+        Tolerance of that test; where initial strains act, relative to u without what expands freely: to the norm of
+        the stresses. "discretisation" (FullMultigrid with Truncated): a tenth of the discretisation error, as
         the nested start shows it.
     max_cycles : int
         With Truncated also for what takes over where it does not converge (:mod:`adaptmg.solver.fallback`;

@@ -39,7 +39,7 @@ class SingleGrid:
         Test the estimated relative A-norm error and the natural residual, or (as the paper) the relative Euclidean
         change in one sweep alone.
     rtol : float
-        Tolerance of that test.
+        Tolerance of that test; where initial strains act, relative to u without what expands freely.
     max_sweeps : int
 
     Examples
@@ -123,15 +123,16 @@ class _CondensedSizes(Sizes):
         hidden = condensed.recover(np.zeros(condensed.problem.system.n_dofs))
         # the energy that the Schur complement does not see
         self._hidden = float(np.einsum("i,i->", hidden, full.system.matrix @ hidden))
-        if self.prescribed:
-            self._jump += 2 * float(np.einsum("i,i->", hidden, self._lift))
-            self._lift = condensed.reduce(self._lift)[1]
 
     def norm(self, unknowns: np.ndarray, energy: float) -> float:
-        return super().norm(unknowns, energy + self._hidden)
+        return super().norm(self._whole(unknowns), energy + self._hidden)
 
     def forces(self, unknowns: np.ndarray, contact: float) -> float:
-        return super().forces(self._condensed.recover(unknowns) if self.prescribed else unknowns, contact)
+        return super().forces(self._whole(unknowns), contact)
+
+    def _whole(self, unknowns: np.ndarray) -> np.ndarray:
+        asked = self.prescribed or self._problem.strain_free is not None
+        return self._condensed.recover(unknowns) if asked else unknowns
 
 
 class _Sweeps(Smoothing):

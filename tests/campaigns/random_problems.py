@@ -142,3 +142,46 @@ def _pair_in_3d(rng: np.random.Generator) -> tuple[dict[str, Any], am.Hierarchy]
     opposite = "lower" if slave == "upper" else "upper"
     return {"dim": 3, "nested": True, "floating": False, "law": type(problem.law).__name__, "friction": friction,
             "slave": slave, "stiffness": young[slave] / young[opposite], "nodes": grids.finest.n_nodes}, grids
+
+
+def random_floating(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+    """A random body that nothing but contact holds, heated or not: rings and blocks on a plane, blocks on blocks."""
+    rng = np.random.default_rng((seed, 18))
+    kind, dim = str(rng.choice(["ring", "block", "pair", "block in 3D"])), 2
+    side, ratio, pressure = float(10 ** rng.uniform(-3, 0)), float(rng.uniform(0.3, 3)), float(10 ** rng.uniform(5, 8))
+    friction = float(rng.choice([0.1, 0.3, 0.7, 1.0]))
+    law = am.Coulomb(friction) if rng.random() < 0.7 or kind.startswith("block") else am.Frictionless()
+    gap = side * float(rng.choice([0.0, 10 ** rng.uniform(-7, -3)]))
+    loads, supports = [am.Pressure("top", pressure)], ()
+    if kind == "ring":
+        material = am.Axisymmetric(young=2e11, poisson=0.3)
+        domain = am.Rectangle(width=side, height=ratio * side, origin=(side * float(rng.uniform(0.1, 3)), 0.0))
+        loads.append(am.Pressure("right", pressure * float(rng.uniform(-0.5, 3))))
+    elif kind == "block":
+        material, domain = am.PlaneStrain(young=2e11, poisson=0.3), am.Rectangle(width=side, height=ratio * side)
+        push = pressure * float(rng.uniform(-1, 3))
+        held = push + 0.1 * friction * pressure * float(rng.uniform(-1, 1))
+        loads += [am.Pressure("left", push), am.Pressure("right", held)]
+    elif kind == "block in 3D":
+        material, dim = am.Solid(young=2e11, poisson=0.3), 3
+        domain = am.Box(width=side, depth=side, height=ratio * side)
+    else:
+        material = {name: am.PlaneStrain(young=float(10 ** rng.uniform(10, 11.5)), poisson=0.3) for name in "ab"}
+        domain = am.Assembly(parts={"a": am.Rectangle(width=side, height=0.3 * side, origin=(0.0, gap)),
+                                    "b": am.Rectangle(width=side, height=0.3 * side, origin=(0.0, -0.3 * side))})
+        loads, supports = [am.Pressure("a.top", pressure)], (am.Support("b.bottom", x=0.0, y=0.0),
+                                                             am.PointSupport((0.5 * side, 0.3 * side + gap), x=0.0))
+    if rng.random() < 0.5:
+        heat = float(10 ** rng.uniform(-6, -3))
+        loads.append(am.InitialStrain("a" if kind == "pair" else "body", (heat,) * 3))
+    flat = am.Plane(point=(0.0,) * (dim - 1) + (-gap,), normal=(0.0,) * (dim - 1) + (1.0,))
+    contact = am.ContactPair("a.bottom", "b.top", gap=gap) if kind == "pair" else am.Contact("bottom", flat)
+    problem = am.ContactProblem(name=kind, domain=domain, material=material, law=law, contact=contact,
+                                loads=tuple(loads), supports=supports)
+    n = int(rng.integers(2, 5))
+    if kind == "pair" or (dim == 2 and rng.random() < 0.5):
+        grids = am.Hierarchy.graded(problem, tuple(side * h for h in (0.3, 0.16, 0.08, 0.05)), float(rng.uniform(1, 3)))
+    else:
+        grids = am.Hierarchy.uniform(problem, [n * 2**k for k in range(4 if dim == 2 else 2)])
+    return {"dim": dim, "kind": kind, "space": "floating", "law": type(law).__name__,
+            "nodes": grids.finest.n_nodes}, grids

@@ -11,7 +11,7 @@ from study_scripts import load
 
 import adaptmg as am
 from adaptmg.smoother.system import local_system
-from adaptmg.solver.examine import Sizes
+from adaptmg.solver.examine import Sizes, displacement_norm
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.record import Run
 from adaptmg.solver.truncated import TruncatedIteration
@@ -89,6 +89,33 @@ def test_between_bodies():
         for rtol in (1e-3, 1e-8):
             result = am.solve(grids, replace(METHODS[method], rtol=rtol), reference=exact)
             assert result.history["true_error"][-1] <= 3 * rtol, (method, rtol)
+
+
+def heated(kind, law):
+    """A block that expands a hundred to a thousand times more than the pressure on it compresses it."""
+    material = {"solid": am.Solid, "plane strain": am.PlaneStrain, "plane stress": am.PlaneStress,
+                "axisymmetric": am.Axisymmetric}[kind](young=2e11, poisson=0.3)
+    domain, dim = (am.Box(width=0.04, depth=0.04, height=0.04), 3) if kind == "solid" else (
+        am.Rectangle(width=0.04, height=0.04), 2)
+    flat = am.Plane(point=(0.0,) * dim, normal=(0.0,) * (dim - 1) + (1.0,))
+    heat = (am.InitialStrain("body", (value,) * 3) for value in (8e-4, 2e-4))
+    supports = (am.Support("left", x=0.0), *([am.Support("front", y=0.0)] if dim == 3 else []))
+    problem = am.ContactProblem(name=kind, domain=domain, material=material, law=law, supports=supports,
+                                contact=am.Contact("bottom", flat), loads=(am.Pressure("top", 1e6), *heat))
+    return am.Hierarchy.uniform(problem, (2, 4) if dim == 3 else (4, 8, 16))
+
+
+@pytest.mark.parametrize("kind", ["solid", "plane strain", "plane stress", "axisymmetric"])
+def test_expansion_that_meets_no_resistance_does_not_count(kind):
+    grids = heated(kind, am.Coulomb(0.3))
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-11))
+    stresses = displacement_norm(grids.finest.discrete, grids.finest.discrete.relative(exact.displacement))
+    if kind != "plane strain":  # where the strain through the thickness is suppressed, and counts for the energy
+        assert stresses**2 == pytest.approx(2 * exact.energy, rel=1e-4)
+    for solver in (am.Multigrid(rtol=0.2), am.SingleGrid(rtol=0.1, omega=1.7), am.SingleGrid(rtol=0.1, condensed=True)):
+        result = am.solve(grids, solver)
+        assert distance(grids.finest.discrete, result.displacement, exact.displacement) <= solver.rtol
+        assert result.contact.force_n.sum() == pytest.approx(exact.contact.force_n.sum(), rel=2 * solver.rtol)
 
 
 def test_load_steps(grids, exact):

@@ -119,6 +119,8 @@ def test_solved_results_and_steps_of_paths_have_the_stresses_of_their_problem(ki
         np.testing.assert_allclose(result.stress(), wanted[:, *AT], rtol=1e-9,
                                    atol=1e-9 * np.abs(wanted).max())
         np.testing.assert_allclose(result.von_mises(), von_mises(wanted), rtol=1e-9)
+        if kind is not am.PlaneStrain:  # whose stress through the thickness has energy whatever the displacement is
+            assert result.checked.energy_norm**2 == pytest.approx(2 * result.energy, rel=1e-6)
         if again is not None:
             np.testing.assert_array_equal(again.stress(), result.stress())
             assert again.stress_data.axisymmetric == (kind is am.Axisymmetric)
