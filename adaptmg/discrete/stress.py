@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptmg._numba import kernel
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.loads import mean_initial_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
@@ -29,11 +30,46 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
     The displacement is (n_nodes, dim) or (n_dofs,), m.
     """
-    u = _nodal(mesh, displacement)
-    corners, values = mesh.points[mesh.elements], u[mesh.elements]
-    # with edge vectors as rows, du_edge = edge . grad(u), grad(u)[j, i] = d u_i / d x_j
-    gradient = np.linalg.solve(corners[:, 1:] - corners[:, :1], values[:, 1:] - values[:, :1])
+    gradient = displacement_gradient(mesh, displacement)
     return 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
+
+
+def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
+    """Gradients d u_i / d x_j (n_elements, dim, dim)."""
+    result = np.zeros((len(mesh.elements), mesh.dim, mesh.dim))
+    _gradients(mesh.points, mesh.elements, _nodal(mesh, displacement), result)
+    return result
+
+
+@kernel
+def _gradients(points, elements, u, gradients):
+    """Add the gradients of linear displacements to ``gradients``."""
+    dim = points.shape[1]
+    edges, normals = np.empty((dim, dim)), np.empty((dim, dim))
+    for e in range(len(elements)):
+        first = elements[e, 0]
+        for k in range(dim):
+            for d in range(dim):
+                edges[k, d] = points[elements[e, k + 1], d] - points[first, d]
+        # the gradient of each corner's shape function, times the determinant of the edges
+        for k in range(dim):
+            a, b = (k + 1) % dim, (k + 2) % dim
+            if dim == 2:
+                normals[k, 0], normals[k, 1] = edges[a, 1], -edges[a, 0]
+            else:
+                for d in range(dim):
+                    i, j = (d + 1) % dim, (d + 2) % dim
+                    normals[k, d] = edges[a, i] * edges[b, j] - edges[a, j] * edges[b, i]
+        if dim == 2:
+            normals[1] *= -1.0
+        determinant = 0.0
+        for d in range(dim):
+            determinant += edges[0, d] * normals[0, d]
+        for k in range(dim):
+            for i in range(dim):
+                moved = (u[elements[e, k + 1], i] - u[first, i]) / determinant
+                for j in range(dim):
+                    gradients[e, i, j] += moved * normals[k, j]
 
 
 def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -160,7 +196,7 @@ def von_mises(stress: np.ndarray) -> np.ndarray:
 
 def _nodal(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """The displacement as float (n_nodes, dim), its shape checked."""
-    u = np.asarray(displacement, dtype=np.float64)
+    u = np.ascontiguousarray(displacement, dtype=np.float64)
     if u.shape not in (mesh.points.shape, (mesh.points.size,)):
         raise ValueError(f"displacement must have shape {mesh.points.shape}, got {u.shape}")
     return u.reshape(mesh.points.shape)

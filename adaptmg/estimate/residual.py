@@ -29,12 +29,12 @@ from adaptmg._blas import one_blas_thread
 from adaptmg._numba import kernel
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.loads import body_elements, foundation, load_density
+from adaptmg.discrete.stress import displacement_gradient
 from adaptmg.discrete.supports import boundary_supports
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.stress_fields import ElementStress, Posed, contact_tractions, posed
-from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_points, quadrature_rule
+from adaptmg.estimate.stress_fields import OPPOSITE, ElementStress, Posed, contact_tractions, posed
+from adaptmg.geometry.quadrature import quadrature_points
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import Surface
 from adaptmg.problem.loads import BodyForce, Load, Pressure, Spring, Traction
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
@@ -72,31 +72,20 @@ class Residual:
                         terms={name: part.sum() for name, part in parts.items()})
 
 
-def _facet_weights(surface: Surface, axisymmetric: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric points (n_points, dim) and weights (n, n_points), m or m^2, exact for products of linear functions.
-    In axisymmetry these products times 2 pi r."""
-    rule, weights = quadrature_rule(surface.facets.shape[1], PLAIN_DEGREE)
-    result = surface.measures[:, None] * weights
-    if axisymmetric:
-        result = result * (2 * np.pi * (surface.points[surface.facets, 0] @ rule.T))
-    return rule, result
-
-
 def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     """Squares (n_elements,) on boundaries without and on those with contact, N m."""
     mesh, stress, near = this.mesh, this.stress, this.neighbours
     touching = contact_tractions(mesh, this.result.contact, stress.axisymmetric)
     plain, contact = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
-    outer = near.across[near.owner, near.corner] < 0
     supports = boundary_supports(mesh, this.problem.supports)
     for k, name in enumerate(mesh.boundaries):
         here = mesh.facet_labels == k
-        outside = outer[here]
+        outside = near.outer[here]
         if not outside.any():
             continue
         surface, elements = mesh.surface(name), near.owner[here]
         facets, normals = surface.facets, surface.normals
-        rule, weights = _facet_weights(surface, stress.axisymmetric)
+        rule, weights = stress.rule(facets, surface.measures)
         residual = -stress.tractions(elements, normals, facets, rule)
         for load in this.problem.loads:
             if isinstance(load, Pressure | Traction) and load.boundary == name:
@@ -141,7 +130,7 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
         index[contact.node[mine]] = np.arange(len(mine))
         pressure, gap, limit, traction, slip = (
             _padded(values[mine])[index[surface.facets]] for values in (pressures, gaps, limits, tractions, slips))
-        rule, weights = _facet_weights(surface, this.stress.axisymmetric)
+        rule, weights = this.stress.rule(surface.facets, surface.measures)
         mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
         slip_part = (np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))
@@ -172,107 +161,58 @@ def _padded(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
 
 
-_GAUSS = 0.5 - 0.5 / math.sqrt(3.0)
-
-
 @kernel
-def _plane(points, elements, across, stress, weight, squares):
-    """Add the jumps of the traction over facets in the plane to ``squares``; ``weight`` (n_elements,) is 1 / (2 E)."""
+def _jumps(points, elements, across, opposite, columns, stress, weight, radial, hoop, lame, squares):
+    """Add the jumps of the traction over facets to ``squares``; ``weight`` (n_elements,) is 1 / (2 E). Of axisymmetric
+    bodies ``radial`` (n_nodes,) is u_r and ``hoop`` (n_elements,) the hoop strain of ``stress``; of others empty."""
+    dim = points.shape[1]
+    normal, jump = np.empty(dim), np.empty(dim)
     for e in range(len(elements)):
-        for k in range(3):
+        for k in range(dim + 1):
             f = across[e, k]
-            if f > e:
-                a, b = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-                nx, ny = points[b, 1] - points[a, 1], points[a, 0] - points[b, 0]
-                xx, yy, xy = (stress[e, 0] - stress[f, 0], stress[e, 1] - stress[f, 1], stress[e, 2] - stress[f, 2])
-                tx, ty = xx * nx + xy * ny, xy * nx + yy * ny
-                size = tx * tx + ty * ty
-                squares[e] += weight[e] * size
-                squares[f] += weight[f] * size
-
-
-@kernel
-def _jumps_axisymmetric(points, elements, across, radial, lame, stress, weight, squares):
-    """As :func:`_plane`, with two Gauss points; ``radial`` (n_nodes,) is u_r, ``lame`` (n_elements,)."""
-    for e in range(len(elements)):
-        for k in range(3):
-            f = across[e, k]
-            if f > e:
-                a, b = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-                nx, ny = points[b, 1] - points[a, 1], points[a, 0] - points[b, 0]
-                xx, yy, xy = (stress[e, 0] - stress[f, 0], stress[e, 1] - stress[f, 1], stress[e, 2] - stress[f, 2])
-                tx, ty, change = xx * nx + xy * ny, xy * nx + yy * ny, lame[e] - lame[f]
+            if f <= e:
+                continue
+            a, b = elements[e, opposite[k, 0]], elements[e, opposite[k, 1]]
+            c = elements[e, opposite[k, dim - 1]]
+            squared = 0.0
+            for d in range(dim):
+                i, j = (d + 1) % dim, (d + 2) % dim
+                if dim == 2:
+                    normal[d] = (1 - 2 * d) * (points[b, i] - points[a, i])
+                else:
+                    normal[d] = 0.5 * ((points[b, i] - points[a, i]) * (points[c, j] - points[a, j])
+                                       - (points[b, j] - points[a, j]) * (points[c, i] - points[a, i]))
+                squared += normal[d] * normal[d]
+            for d in range(dim):
+                jump[d] = 0.0
+                for i in range(dim):
+                    jump[d] += (stress[e, columns[d, i]] - stress[f, columns[d, i]]) * normal[i]
+            size = 0.0
+            if len(hoop) == 0:
+                for d in range(dim):
+                    size += jump[d] * jump[d]
+                if dim == 3:
+                    size *= math.sqrt(2.0 / math.sqrt(squared))
+            else:
                 for share in (_GAUSS, 1.0 - _GAUSS):
                     r = share * points[a, 0] + (1.0 - share) * points[b, 0]
                     if r > 0.0:
-                        more = change * (share * radial[a] + (1.0 - share) * radial[b]) / r
-                        size = math.pi * r * ((tx + more * nx)**2 + (ty + more * ny)**2)
-                        squares[e] += weight[e] * size
-                        squares[f] += weight[f] * size
+                        there = (share * radial[a] + (1.0 - share) * radial[b]) / r
+                        more = lame[e] * (there - hoop[e]) - lame[f] * (there - hoop[f])
+                        size += math.pi * r * ((jump[0] + more * normal[0])**2 + (jump[1] + more * normal[1])**2)
+            squares[e] += weight[e] * size
+            squares[f] += weight[f] * size
 
 
-@kernel
-def _solid(points, elements, across, stress, weight, squares):
-    """As :func:`_plane`, in space."""
-    local = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-    for e in range(len(elements)):
-        for k in range(4):
-            f = across[e, k]
-            if f > e:
-                a, b, c = elements[e, local[k, 0]], elements[e, local[k, 1]], elements[e, local[k, 2]]
-                x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-                x2, y2, z2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
-                nx, ny, nz = 0.5 * (y1 * z2 - z1 * y2), 0.5 * (z1 * x2 - x1 * z2), 0.5 * (x1 * y2 - y1 * x2)
-                xx, yy, zz = (stress[e, 0] - stress[f, 0], stress[e, 1] - stress[f, 1], stress[e, 2] - stress[f, 2])
-                xy, yz, xz = (stress[e, 3] - stress[f, 3], stress[e, 4] - stress[f, 4], stress[e, 5] - stress[f, 5])
-                tx, ty, tz = (xx * nx + xy * ny + xz * nz, xy * nx + yy * ny + yz * nz, xz * nx + yz * ny + zz * nz)
-                area = math.sqrt(nx * nx + ny * ny + nz * nz)
-                size = math.sqrt(2.0 / area) * (tx * tx + ty * ty + tz * tz)
-                squares[e] += weight[e] * size
-                squares[f] += weight[f] * size
+_GAUSS = 0.5 - 0.5 / math.sqrt(3.0)
 
 
 def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -> np.ndarray:
     """Squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus."""
-    mesh, squares, weight = stress.mesh, np.zeros(len(stress.values)), 0.5 / young
-    if stress.axisymmetric:
-        radial = np.ascontiguousarray(stress.displacement[:, 0])
-        _jumps_axisymmetric(mesh.points, mesh.elements, across, radial, stress.data.lame[mesh.element_body],
-                            stress.values, weight, squares)
-    else:
-        jumps = _plane if mesh.dim == 2 else _solid
-        jumps(mesh.points, mesh.elements, across, stress.values, weight, squares)
+    mesh, squares = stress.mesh, np.zeros(len(across))
+    _jumps(mesh.points, mesh.elements, across, OPPOSITE[mesh.dim], stress.columns, stress.values, 0.5 / young,
+           np.ascontiguousarray(stress.displacement[:, 0]), stress.hoop, stress.lame, squares)
     return squares
-
-
-@kernel
-def _volume_axisymmetric(points, elements, u, body, lame, shear, initial, stress, force, rule, weights, squares):
-    """Write the integrals (n_elements,) of |f + div sigma|^2 over the full circumference. The divergence is (d_r
-    sigma_rr + (sigma_rr - sigma_tt) / r, d_z sigma_zz + sigma_rz / r), where sigma_rr and sigma_zz vary by lame times
-    the hoop strain u_r / r. ``initial`` (n_elements or 0, 3): initial strains; ``stress`` (n_elements, 3): its last
-    column is rz; ``force`` (n_elements or 0, n_points, 2): f at the points of ``rule``."""
-    for e in range(len(elements)):
-        a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
-        x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-        x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
-        det = x1 * y2 - y1 * x2
-        first, second = u[b, 0] - u[a, 0], u[c, 0] - u[a, 0]
-        along_r, along_z = (first * y2 - second * y1) / det, (second * x1 - first * x2) / det
-        k = body[e]
-        apart = initial[e, 0] - initial[e, 2] if len(initial) > 0 else 0.0
-        axial = lame[k] * along_z + stress[e, 2]
-        total = 0.0
-        for q in range(len(weights)):
-            r = rule[q, 0] * points[a, 0] + rule[q, 1] * points[b, 0] + rule[q, 2] * points[c, 0]
-            hoop = (rule[q, 0] * u[a, 0] + rule[q, 1] * u[b, 0] + rule[q, 2] * u[c, 0]) / r
-            # sigma_rr - sigma_tt = 2 mu times the difference of the elastic strains
-            fr = (lame[k] * (along_r - hoop) + 2.0 * shear[k] * (along_r - hoop - apart)) / r
-            fz = axial / r
-            if len(force) > 0:
-                fr += force[e, q, 0]
-                fz += force[e, q, 1]
-            total += weights[q] * r * (fr * fr + fz * fz)
-        squares[e] = np.pi * det * total
 
 
 def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarray) -> np.ndarray | None:
@@ -280,16 +220,23 @@ def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarr
     forces = [load for load in loads if isinstance(load, BodyForce)]
     if not forces and not stress.axisymmetric:
         return None
-    mesh, data = stress.mesh, stress.data
-    rule, weights = quadrature_rule(mesh.dim + 1, AXISYMMETRIC_DEGREE if stress.axisymmetric else PLAIN_DEGREE)
-    density = np.zeros((len(mesh.elements) if forces else 0, len(weights), mesh.dim))
+    mesh = stress.mesh
+    rule, weights = stress.rule(mesh.elements, mesh.volumes)
+    residual = _divergence(stress, rule) if stress.axisymmetric else np.zeros((*weights.shape, mesh.dim))
     for load in forces:
         here = slice(None) if load.body is None else body_elements(mesh, load.body)
-        density[here] += load_density(load, quadrature_points(mesh.points, mesh.elements[here], rule), None)
-    if stress.axisymmetric:
-        squares = np.empty(len(mesh.elements))
-        _volume_axisymmetric(mesh.points, mesh.elements, stress.displacement, mesh.element_body, data.lame, data.shear,
-                             data.initial_strain, stress.values, density, rule, weights, squares)
-    else:
-        squares = mesh.volumes * np.einsum("eqd,eqd,q->e", density, density, weights)
-    return mesh.element_sizes**2 / young * squares
+        residual[here] += load_density(load, quadrature_points(mesh.points, mesh.elements[here], rule), None)
+    return mesh.element_sizes**2 / young * np.einsum("eqd,eqd,eq->e", residual, residual, weights)
+
+
+def _divergence(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
+    """Divergence (n_elements, n_points, 2) of an axisymmetric stress: (d_r sigma_rr + (sigma_rr - sigma_tt) / r, d_z
+    sigma_zz + sigma_rz / r), where sigma_rr and sigma_zz vary by lame times the hoop strain u_r / r."""
+    mesh = stress.mesh
+    slope = displacement_gradient(mesh, stress.displacement)[:, 0, :, None]
+    r, values, lame = mesh.points[mesh.elements, 0] @ rule.T, stress.values, stress.lame[:, None]
+    rise = stress.rise(slice(None), mesh.elements, rule)
+    along_r = (lame * (slope[:, 0] - stress.hoop[:, None]) + (values[:, 0] - values[:, 2])[:, None]
+               - (lame + 2 * stress.shear[:, None]) * rise)
+    along_z = np.broadcast_to(lame * slope[:, 1] + values[:, 3:], r.shape)
+    return np.stack([along_r / r, along_z / r], axis=2)

@@ -1,9 +1,7 @@
 r"""A discrete solution as estimates see it: its stress on each element, and who its neighbours are.
 
-The stress is constant on each element but for the parts of the hoop strain :math:`\varepsilon_\theta = u_r / r` of
-axisymmetric bodies, which are evaluated where they are needed. With the initial strain :math:`\varepsilon_0`,
-
-.. math:: \sigma = \lambda\,\mathrm{tr}(\varepsilon - \varepsilon_0) I + 2\mu (\varepsilon - \varepsilon_0).
+The stress (:mod:`adaptmg.discrete.stress`) is constant on each element but for what the hoop strain
+:math:`\varepsilon_\theta = u_r / r` of axisymmetric bodies adds to that at the centroid.
 
 Tractions on a boundary are of the stress inside, :math:`\sigma_h n`, constant on each facet, from the element behind
 it; and of contact, :math:`t_h`, linear in between the nodes,
@@ -26,11 +24,11 @@ from functools import cached_property
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._numba import inner_kernel, kernel
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.stress import StressData
+from adaptmg.discrete.stress import StressData, hoop_strain
+from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
@@ -38,63 +36,10 @@ from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.examine import energy_norm, euclidean_norm
 from adaptmg.solver.result import Result
 
-_THIN = 1
-
-
-@kernel
-def _plane(points, elements, body, u, lame, shear, thin, initial, stress):
-    """Write xx, yy, xy (n_elements, 3). ``thin`` (n_bodies,): plane stress; ``initial`` (n_elements or 0, 3)."""
-    strained = len(initial) > 0
-    for e in range(len(elements)):
-        a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
-        x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-        x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
-        det = x1 * y2 - y1 * x2
-        u1, v1 = u[b, 0] - u[a, 0], u[b, 1] - u[a, 1]
-        u2, v2 = u[c, 0] - u[a, 0], u[c, 1] - u[a, 1]
-        xx, yy = (u1 * y2 - u2 * y1) / det, (v2 * x1 - v1 * x2) / det
-        twice_xy = (u2 * x1 - u1 * x2 + v1 * y2 - v2 * y1) / det
-        out, k = 0.0, body[e]
-        if strained:
-            xx, yy = xx - initial[e, 0], yy - initial[e, 1]
-            if not thin[k]:
-                out = -initial[e, 2]
-        pressure = lame[k] * (xx + yy + out)
-        stress[e, 0] = pressure + 2.0 * shear[k] * xx
-        stress[e, 1] = pressure + 2.0 * shear[k] * yy
-        stress[e, 2] = shear[k] * twice_xy
-
-
-@kernel
-def _solid(points, elements, body, u, lame, shear, initial, stress):
-    """Write xx, yy, zz, xy, yz, xz (n_elements, 6). ``initial`` (n_elements or 0, 3)."""
-    strained = len(initial) > 0
-    for e in range(len(elements)):
-        a, b, c, d = elements[e, 0], elements[e, 1], elements[e, 2], elements[e, 3]
-        x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-        x2, y2, z2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
-        x3, y3, z3 = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1], points[d, 2] - points[a, 2]
-        gx1, gy1, gz1 = y2 * z3 - z2 * y3, z2 * x3 - x2 * z3, x2 * y3 - y2 * x3
-        gx2, gy2, gz2 = y3 * z1 - z3 * y1, z3 * x1 - x3 * z1, x3 * y1 - y3 * x1
-        gx3, gy3, gz3 = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
-        det = x1 * gx1 + y1 * gy1 + z1 * gz1
-        u1, v1, w1 = u[b, 0] - u[a, 0], u[b, 1] - u[a, 1], u[b, 2] - u[a, 2]
-        u2, v2, w2 = u[c, 0] - u[a, 0], u[c, 1] - u[a, 1], u[c, 2] - u[a, 2]
-        u3, v3, w3 = u[d, 0] - u[a, 0], u[d, 1] - u[a, 1], u[d, 2] - u[a, 2]
-        xx = (u1 * gx1 + u2 * gx2 + u3 * gx3) / det
-        yy = (v1 * gy1 + v2 * gy2 + v3 * gy3) / det
-        zz = (w1 * gz1 + w2 * gz2 + w3 * gz3) / det
-        xy = (u1 * gy1 + u2 * gy2 + u3 * gy3 + v1 * gx1 + v2 * gx2 + v3 * gx3) / det
-        yz = (v1 * gz1 + v2 * gz2 + v3 * gz3 + w1 * gy1 + w2 * gy2 + w3 * gy3) / det
-        xz = (u1 * gz1 + u2 * gz2 + u3 * gz3 + w1 * gx1 + w2 * gx2 + w3 * gx3) / det
-        if strained:
-            xx, yy, zz = xx - initial[e, 0], yy - initial[e, 1], zz - initial[e, 2]
-        k = body[e]
-        pressure = lame[k] * (xx + yy + zz)
-        stress[e, 0] = pressure + 2.0 * shear[k] * xx
-        stress[e, 1] = pressure + 2.0 * shear[k] * yy
-        stress[e, 2] = pressure + 2.0 * shear[k] * zz
-        stress[e, 3], stress[e, 4], stress[e, 5] = shear[k] * xy, shear[k] * yz, shear[k] * xz
+#: rows and columns of the tensor that are kept of stresses in the plane and in space; of axisymmetric ones; and back
+_PLAIN = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
+_ROUND = ([0, 1, 2, 0], [0, 1, 2, 1])
+_BACK = {3: np.array([[0, 2], [2, 1]]), 4: np.array([[0, 3], [3, 1]]), 6: np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])}
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,115 +49,95 @@ class ElementStress:
     mesh: MeshArrays
     displacement: np.ndarray  # (n_nodes, dim): m
     data: StressData
-    values: np.ndarray  # (n_elements, 3 or 6)
+    values: np.ndarray  # (n_elements, n_values) at centroids: xx, yy, xy; rr, zz, hoop, rz; xx, yy, zz, xy, yz, xz
 
     @property
     def axisymmetric(self) -> bool:
         """Whether integrals are weighted with 2 pi r."""
         return self.data.axisymmetric
 
-    def hoop(self, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
-        """Hoop strain u_r / r (n, n_points) at barycentric points (n_points, k) of cells (n, k); 0 on the axis."""
-        radius = self.mesh.points[cells, 0] @ rule.T
-        moved = self.displacement[cells, 0] @ rule.T
-        return np.divide(moved, radius, out=np.zeros_like(radius), where=radius > 0)
+    @property
+    def columns(self) -> np.ndarray:
+        """Which column (dim, dim) has each component in space, in axisymmetry of the section."""
+        return _BACK[self.values.shape[1]]
+
+    @cached_property
+    def lame(self) -> np.ndarray:
+        """Lame's first constant (n_elements,), Pa."""
+        return self.data.lame[self.mesh.element_body]
+
+    @cached_property
+    def shear(self) -> np.ndarray:
+        """Shear modulus (n_elements,), Pa."""
+        return self.data.shear[self.mesh.element_body]
 
     def tractions(self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
                   ) -> np.ndarray:
         """Sigma n (n, n_points, dim) at points of facets."""
-        order = [[0, 2], [2, 1]] if self.mesh.dim == 2 else [[0, 3, 5], [3, 1, 4], [5, 4, 2]]
-        plain = np.einsum("nij,nj->ni", self.values[elements][:, order], normals)
+        plain = np.einsum("nij,nj->ni", self.values[elements][:, self.columns], normals)
         result = np.repeat(plain[:, None, :], len(rule), axis=1)
         if self.axisymmetric:
-            lame = self.data.lame[self.mesh.element_body[elements]]
-            result += (lame[:, None] * self.hoop(facets, rule))[:, :, None] * normals[:, None, :]
+            rise = self.lame[elements, None] * self.rise(elements, facets, rule)
+            result += rise[:, :, None] * normals[:, None, :]
         return result
+
+    @cached_property
+    def hoop(self) -> np.ndarray:
+        """Hoop strain (n_elements,) at the centroids of axisymmetric elements, else empty."""
+        return hoop_strain(self.mesh, self.displacement) if self.axisymmetric else np.empty(0)
+
+    def rule(self, cells: np.ndarray, measures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Barycentric points (n_points, k) in cells (n, k), and their weights (n, n_points): in axisymmetry 2 pi r too.
+        On facets they are exact for products of two linear functions and the weight, on elements for more."""
+        inside = self.axisymmetric and cells.shape[1] > self.mesh.dim
+        rule, weights = quadrature_rule(cells.shape[1], AXISYMMETRIC_DEGREE if inside else PLAIN_DEGREE)
+        result = measures[:, None] * weights
+        return rule, result * (2 * np.pi * (self.mesh.points[cells, 0] @ rule.T)) if self.axisymmetric else result
+
+    def rise(self, elements: np.ndarray | slice, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
+        """Hoop strain (n, n_points) at points of cells (n, k) less that at the centroids of their elements."""
+        radius, moved = self.mesh.points[cells, 0] @ rule.T, self.displacement[cells, 0] @ rule.T
+        return np.divide(moved, radius, out=np.zeros_like(radius), where=radius > 0) - self.hoop[elements, None]
 
 
 def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData) -> ElementStress:
     """The stress of a displacement (n_nodes, dim), m."""
-    if len(data.kind) != len(mesh.bodies) or len(data.initial_strain) not in (0, len(mesh.elements)):
-        raise ValueError(f"stress data of {len(data.kind)} bodies and {len(data.initial_strain)} elements do not "
-                         f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}")
-    u = np.ascontiguousarray(displacement, dtype=np.float64)
-    values = np.empty((len(mesh.elements), 3 if mesh.dim == 2 else 6))
-    initial = np.ascontiguousarray(data.initial_strain, dtype=np.float64)
-    lame, shear = (np.ascontiguousarray(part, dtype=np.float64) for part in (data.lame, data.shear))
-    if mesh.dim == 2:
-        _plane(mesh.points, mesh.elements, mesh.element_body, u, lame, shear, data.kind == _THIN, initial, values)
-    else:
-        _solid(mesh.points, mesh.elements, mesh.element_body, u, lame, shear, initial, values)
-    return ElementStress(mesh, u, data, values)
+    rows, columns = _ROUND if data.axisymmetric else _PLAIN[mesh.dim]
+    return ElementStress(mesh, displacement, data, data.tensors(mesh, displacement)[:, rows, columns])
+
+
+#: corners of the facets opposite each corner of an element
+OPPOSITE = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])}
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
     """Which element lies across each facet of an element, and which one a boundary facet belongs to."""
 
-    across: np.ndarray  # (n_elements, dim + 1) int32: the element opposite each corner, -1 on the boundary
-    owner: np.ndarray  # (n_facets,) int32
-    corner: np.ndarray  # (n_facets,) int32: the corner of the owner which lies opposite
+    across: np.ndarray  # (n_elements, dim + 1): the element opposite each corner, -1 on the boundary
+    owner: np.ndarray  # (n_facets,)
+    outer: np.ndarray  # (n_facets,) bool: no element lies on the other side
 
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
-    """Neighbours in a mesh. Facets are kept in buckets by their lowest node; two are the same if their lowest and
-    highest nodes and the sums of their nodes agree. A bucket holds about a dozen of them (3D: some dozens), so that no
-    table has to be sorted."""
-    n, k = mesh.elements.shape
-    across = np.full((n, k), -1, dtype=np.int32)
-    owner, corner = (np.full(len(mesh.facets), -1, dtype=np.int32) for _ in range(2))
-    start = np.zeros(mesh.n_nodes + 1, dtype=np.int64)
-    codes, highs, sums = np.empty(n * k, np.int32), np.empty(n * k, np.int32), np.empty(n * k, np.int64)
-    find_neighbours(mesh.elements, mesh.facets, start, codes, highs, sums, across, owner, corner)
-    if len(owner) and owner.min() < 0:
-        i = int(np.argmin(owner))
-        raise ValueError(f"mesh: boundary facet {i} of nodes {mesh.facets[i].tolist()} belongs to no element")
-    return Neighbours(across, owner, corner)
-
-
-@inner_kernel
-def _keys(nodes, left_out):
-    """Lowest and highest node and the sum of nodes, the corner ``left_out`` (-1: none) apart."""
-    low, high, total = 2**62, -1, 0
-    for k in range(len(nodes)):
-        if k != left_out:
-            v = nodes[k]
-            low, high, total = min(low, v), max(high, v), total + v
-    return low, high, total
-
-
-@kernel
-def find_neighbours(elements, facets, start, codes, highs, sums, across, owner, corner):
-    """Fill ``across``, ``owner`` and ``corner``, which come as -1; ``start`` comes as 0, the others uninitialised."""
-    n, k = elements.shape
-    # facets, as element * corners + corner, by lowest node: those of node i in start[i] .. start[i + 1]
-    for e in range(n):
-        for c in range(k):
-            low, high, total = _keys(elements[e], c)
-            start[low + 1] += 1
-    for i in range(len(start) - 1):
-        start[i + 1] += start[i]
-    for e in range(n):
-        for c in range(k):
-            low, high, total = _keys(elements[e], c)
-            at = start[low]
-            codes[at], highs[at], sums[at] = e * k + c, high, total
-            start[low] = at + 1
-    for i in range(len(start) - 1, 0, -1):
-        start[i] = start[i - 1]
-    start[0] = 0
-    for i in range(len(start) - 1):
-        for a in range(start[i], start[i + 1]):
-            for b in range(a + 1, start[i + 1]):
-                if highs[a] == highs[b] and sums[a] == sums[b]:
-                    across[codes[a] // k, codes[a] % k] = codes[b] // k
-                    across[codes[b] // k, codes[b] % k] = codes[a] // k
-    for f in range(len(facets)):
-        low, high, total = _keys(facets[f], -1)
-        for a in range(start[low], start[low + 1]):
-            if owner[f] < 0 and highs[a] == high and sums[a] == total:
-                owner[f] = codes[a] // k
-                corner[f] = codes[a] % k
+    """Neighbours in a mesh: two facets of elements with the same nodes follow each other when sorted."""
+    k, dim, n = mesh.dim + 1, mesh.dim, mesh.n_nodes
+    sides = np.sort(mesh.elements[:, OPPOSITE[dim]].reshape(-1, dim), axis=1).astype(np.int64)
+    facets = np.sort(mesh.facets, axis=1).astype(np.int64)
+    numbers = n ** np.arange(dim)[::-1]
+    keys, own = sides @ numbers, facets @ numbers
+    order = np.argsort(keys)
+    keys = keys[order]
+    same = np.flatnonzero(keys[1:] == keys[:-1])
+    across = np.full(len(order), -1)
+    across[order[same]], across[order[same + 1]] = order[same + 1] // k, order[same] // k
+    place = np.minimum(np.searchsorted(keys, own), len(keys) - 1)
+    lost = np.flatnonzero(keys[place] != own)
+    if len(lost):
+        raise ValueError(f"mesh: boundary facet {lost[0]} of nodes {mesh.facets[lost[0]].tolist()} belongs to no "
+                         "element")
+    side = order[place]
+    return Neighbours(across.reshape(-1, k), side // k, across[side] < 0)
 
 
 #: relative difference of loads that agree; those of the result are exact to rounding
