@@ -227,7 +227,8 @@ def need_domain(problem: ContactProblem) -> None:
     """ValueError unless the problem has a domain to mesh."""
     checks.instance("problem", problem, ContactProblem, "a ContactProblem")
     if problem.domain is None:
-        raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes")
+        raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes "
+                         "(in an adaptive loop engine=am.Bisect())")
 
 
 def meshed_domain(problem: ContactProblem) -> Domain:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.estimate import Estimate, estimate_for
 from adaptmg.level import meshed_domain
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection import check_marked
@@ -93,9 +93,7 @@ class Bisect:
         """
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
         marked = check_marked(check_mesh(mesh), marked)
-        squares = checks.instance("estimate", estimate, Estimate, "an Estimate").squares
-        if squares.shape != marked.shape:
-            raise ValueError(f"estimate is of {len(squares)} elements, but mesh has {len(marked)}")
+        squares = estimate_for(mesh, estimate).squares
         limit = np.inf if max_nodes is None else checks.integer("max_nodes", max_nodes, 1)
         marked = marked & divisible(mesh)
         if not marked.any():

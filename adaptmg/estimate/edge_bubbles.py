@@ -186,7 +186,7 @@ class EdgeBubbles:
             density = load_density(load, quadrature_points(mesh.points, cells, rule), normals)
             self._add(result, cells, edges, density, measures)
         if any(isinstance(load, InitialStrain) for load in loads):
-            self._add_strain(result)
+            result += self._strain_load()
         return result
 
     def _add(self, result: np.ndarray, cells: np.ndarray, edges: np.ndarray, values: np.ndarray, measures: np.ndarray
@@ -200,22 +200,17 @@ class EdgeBubbles:
         for k, (a, b) in enumerate((_OF_FACET if cells.shape[1] == dim else _LOCAL)[dim]):
             np.add.at(result, edges[:, k], np.einsum("nq,q,nqm->nm", factor, 4 * rule[:, a] * rule[:, b], values))
 
-    def _add_strain(self, result: np.ndarray) -> None:
-        """Add the work of the mean initial strains of the elements, in place."""
+    def _strain_load(self) -> np.ndarray:
+        """Work (n_edges, dim) of the mean initial strains of the elements."""
         mesh, dim = self.mesh, self.mesh.dim
         data = StressData.of(mesh, self.problem.material, self.problem.loads)
-        stress = -np.diagonal(data.tensors(mesh, np.zeros(mesh.points.shape)), axis1=1, axis2=2)
-        rule, weights = simplex_rule(dim, _LOAD_POINTS)
-        factor = mesh.volumes[:, None] * weights
-        if self.axisymmetric:
-            r = quadrature_points(mesh.points, mesh.elements, rule)[:, :, 0]
-            factor = factor * 2 * np.pi * r
-        for k, (a, b) in enumerate(_LOCAL[dim]):
-            value = stress[:, :dim] * 4 * ((factor @ rule[:, a])[:, None] * self._gradients[:, b]
-                                           + (factor @ rule[:, b])[:, None] * self._gradients[:, a])
-            if self.axisymmetric:
-                value[:, 0] += stress[:, 2] * ((factor / r) @ (4 * rule[:, a] * rule[:, b]))
-            np.add.at(result, self.element_edges[:, k], value)
+        stress = -data.tensors(mesh, np.zeros(mesh.points.shape))
+        total = np.zeros((*self.element_edges.shape, dim))
+        for weight, _, _, gradients, hoop in self._points:
+            work = gradients @ stress[:, :dim, :dim]
+            work[:, :, 0] += stress[:, 2, 2, None] * hoop
+            total += weight[:, None, None] * work
+        return self._on_edges(total)
 
 
 def edge_bubbles(mesh: MeshArrays, problem: ContactProblem) -> EdgeBubbles:

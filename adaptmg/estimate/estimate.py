@@ -21,11 +21,13 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import shortened
 
 if TYPE_CHECKING:
     from adaptmg.hierarchy import Hierarchy
+    from adaptmg.mesh.arrays import MeshArrays
     from adaptmg.solver.result import Result
 
 
@@ -110,19 +112,9 @@ class Estimate:
 
 
 def _checked_squares(name: str, squares: object) -> np.ndarray:
-    try:
-        values = np.asarray(squares)
-    except (TypeError, ValueError):
-        values = np.asarray(None)
-    if values.dtype.kind not in "iuf" and values.size:
-        raise TypeError(f"{name} must be an array of real numbers, got {checks.described(squares)}")
-    if values.ndim != 1 or not len(values):
-        raise ValueError(f"{name} must have shape (n_elements,), got {values.shape}")
-    result = np.array(values, dtype=np.float64)
-    if not (result >= 0).all() or not np.isfinite(result).all():
-        k = int(np.argmin(np.where(np.isfinite(result), result, -np.inf)))
-        raise ValueError(f"{name} must be finite and >= 0, got {result[k]} in element {k}")
-    result.flags.writeable = False
+    result = check_arrays.array(name, squares, (None,))
+    if not len(result) or result.min() < 0:
+        raise ValueError(f"{name} must be numbers >= 0, one for each element, got {checks.shown(squares)}")
     return result
 
 
@@ -144,11 +136,15 @@ class Indicator(Protocol[Found]):
 
 def estimate_of(indicator: Indicator, hierarchy: Hierarchy, result: Result) -> Estimate:
     """The estimate of an indicator, of the elements of the finest mesh."""
-    estimate, name = indicator.indicate(hierarchy, result), f"the indicator {checks.shown(indicator)} returns"
-    checks.instance(f"what {name}", estimate, Estimate)
-    n_elements = len(hierarchy.finest.mesh.elements)
-    if len(estimate.squares) != n_elements:
-        raise ValueError(f"{name} an estimate of {len(estimate.squares)} elements for a mesh of {n_elements}")
+    return estimate_for(hierarchy.finest.mesh, indicator.indicate(hierarchy, result),
+                        f"what the indicator {checks.shown(indicator)} returns")
+
+
+def estimate_for(mesh: MeshArrays, estimate: Estimate, name: str = "estimate") -> Estimate:
+    """An estimate, checked to be one of the elements of a mesh."""
+    checks.instance(name, estimate, Estimate, "an Estimate")
+    if len(estimate.squares) != len(mesh.elements):
+        raise ValueError(f"{name} is of {len(estimate.squares)} elements, but mesh has {len(mesh.elements)}")
     return estimate
 
 
@@ -160,17 +156,12 @@ class Mark(Protocol):
 
 
 def marks_of(mark: Mark, estimate: Estimate) -> np.ndarray:
-    """The mask (n_elements,) that a marking chooses."""
-    mask, name = mark.mark(estimate), f"mark: {checks.shown(mark)} must return a boolean mask over the elements"
-    try:
-        marked = np.asarray(mask)
-    except (TypeError, ValueError):
-        marked = np.asarray(None)
-    if marked.dtype != bool:
-        raise TypeError(f"{name}, got {checks.described(mask)}")
-    if marked.shape != estimate.squares.shape:
-        raise ValueError(f"{name} (shape {estimate.squares.shape}), got shape {marked.shape}")
-    return marked
+    """The mask (n_elements,) that a marking chooses, checked."""
+    mask = mark.mark(estimate)
+    if not isinstance(mask, np.ndarray) or mask.dtype.kind != "b" or mask.shape != estimate.squares.shape:
+        raise TypeError(f"mark: {checks.shown(mark)} must return a boolean mask over the {len(estimate.squares)} "
+                        f"elements, got {checks.described(mask)}")
+    return mask
 
 
 @dataclass(frozen=True)

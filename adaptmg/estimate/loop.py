@@ -25,15 +25,8 @@ from adaptmg._numba import clock, compiling_seconds
 from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.bisect import divisible
 from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of
-from adaptmg.estimate.loop_store import Meshes, StoredStep
-from adaptmg.estimate.step import (
-    Engine,
-    Limits,
-    Step,
-    expected_seconds,
-    settled,
-    sound_mesh,
-)
+from adaptmg.estimate.loop_store import StoredStep, restored
+from adaptmg.estimate.step import Engine, Limits, Step, expected_seconds, settled, sound_mesh
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.tables import with_refinement
@@ -109,7 +102,7 @@ class AdaptiveLoop:
     def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: StepStore | None,
                  progress: Progress | None) -> None:
         self.first, self.parts, self.limits, self.store, self.progress = start, parts, limits, store, progress
-        self.clock, self.meshes = _Clock(), Meshes(start)
+        self.clock = _Clock()
         self.clock.seconds |= start.timings
         self.done: list[Step] = []
         self.steering: Estimate | None = None
@@ -247,13 +240,12 @@ class AdaptiveLoop:
 
     def _restored(self, number: int, step: Stored) -> Step:
         stored: StoredStep = step.more
-        own = with_refinement(step.value.mesh, stored.history)
-        hierarchy = self.meshes.take([*stored.levels[:-1], own])
+        own, last = with_refinement(step.value.mesh, stored.history), self.done[-1] if self.done else None
+        hierarchy = restored(self.first if last is None else last.hierarchy, [*stored.levels[:-1], own])
         # one mesh for both, with its source
         result = replace(step.value, mesh=hierarchy.finest.mesh)
-        before = self.done[-1].estimate if self.done else None
         return Step(number, hierarchy, result, stored.estimate, stored.timings, path=stored.path,
-                    settled=settled(stored.estimate, before), **stored.numbers)
+                    settled=settled(stored.estimate, last and last.estimate), **stored.numbers)
 
     def _remember(self, step: Step) -> None:
         self.done.append(step)

@@ -14,7 +14,6 @@ from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.level import Level, joined, level_of, the_transfer
 from adaptmg.mesh import with_source
 from adaptmg.mesh.arrays import MeshArrays, Refinement
 from adaptmg.problem.load_path import LoadPath
@@ -51,31 +50,17 @@ def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path:
                        depends)
 
 
-class Meshes:
-    """The meshes of stored steps, each discretised once and each neighbour located once."""
-
-    def __init__(self, start: Hierarchy) -> None:
-        self.start = start
-        # meshes of the start know more than their arrays
-        self._known = {_key(level.mesh): level.mesh for level in start.levels}
-        self._alone: dict[bytes, Level] = {}
-        self._joined: dict[tuple[bytes, bytes], Level] = {}
-
-    def take(self, meshes: Sequence[MeshArrays]) -> Hierarchy:
-        """The hierarchy of a stored step."""
-        levels: list[Level] = []
-        below = b""
-        for mesh in meshes:
-            key = _key(mesh)
-            if key not in self._alone:
-                self._alone[key] = level_of(self.start.problem, self._known.get(key) or with_source(mesh))
-            if levels and (below, key) not in self._joined:
-                self._joined[below, key] = joined(levels[-1], self._alone[key], the_transfer(self.start.transfer),
-                                                  self.start.contact_rows)
-            levels.append(self._joined[below, key] if levels else self._alone[key])
-            below = key
-        return Hierarchy(tuple(levels), self.start.problem, self.start.origin, {}, self.start.limits,
-                         self.start.transfer, self.start.contact_rows)
+def restored(before: Hierarchy, meshes: Sequence[MeshArrays]) -> Hierarchy:
+    """The hierarchy of a stored step, which has these meshes, made of that of the step before."""
+    stored = [_key(mesh) for mesh in meshes]
+    there = [_key(level.mesh) for level in before.levels]
+    for key, mesh in zip(stored, meshes, strict=True):
+        if key not in there:
+            before = before.append(with_source(mesh))
+            there.append(key)
+    for level in reversed([k for k, key in enumerate(there) if key not in stored]):
+        before = before.without(level)
+    return before
 
 
 def _key(mesh: MeshArrays) -> bytes:

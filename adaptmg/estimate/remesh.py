@@ -28,9 +28,9 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel
 from adaptmg.discrete.recovery import elements_of_nodes
-from adaptmg.estimate.estimate import Estimate
+from adaptmg.estimate.estimate import Estimate, estimate_for
 from adaptmg.geometry.location import SimplexLocator
-from adaptmg.level import meshed_domain
+from adaptmg.level import meshed_domain, need_domain
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactProblem
 
@@ -91,8 +91,7 @@ class Remesh:
         ValueError if the problem has no domain, the estimate is not of this mesh, or Netgen fails.
         """
         need_domain(problem)
-        checks.instance("mesh", mesh, MeshArrays)
-        checks.instance("estimate", estimate, Estimate, "an Estimate")
+        estimate_for(checks.instance("mesh", mesh, MeshArrays), estimate)
         aim = _aim(mesh.n_nodes, max_nodes, self.growth)
         sizes = self._equilibrated(problem, mesh, estimate, aim)
         factors = (sizes / nodal_sizes(mesh, simplex_sizes(mesh)))[mesh.elements].min(axis=1)
@@ -130,14 +129,6 @@ class Remesh:
         functions = {body: field.function(body) for body in field.mesh.bodies}
         return sized(meshed_domain(problem), functions if len(functions) > 1 else functions.popitem()[1],
                      float(field.sizes.max()), grading=_GRADATION)
-
-
-def need_domain(problem: ContactProblem) -> None:
-    """ValueError unless the problem has a domain, of which a new mesh can be made."""
-    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
-    if problem.domain is None:
-        raise ValueError("problem.domain is None: give the problem a domain, or refine its mesh with "
-                         "engine=am.Bisect()")
 
 
 def _aim(nodes: int, max_nodes: int | None, growth: float) -> float:
@@ -200,9 +191,6 @@ class NodeCount:
 def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, *, finest: float = 0.25,
                        coarsest: float = 1.5, growth: float = 0.3) -> np.ndarray:
     """Sizes at the nodes of a mesh, for a new mesh of about ``n_nodes`` nodes."""
-    if squares.shape != (len(mesh.elements),):
-        raise ValueError(f"squares must have shape ({len(mesh.elements)},), one for each element of mesh, got "
-                         f"{squares.shape}")
     largest = squares.max()
     share = np.maximum(squares / largest, _TINY) if largest > 0 else np.ones(len(squares))
     factors = share ** (-1 / (2 + mesh.dim))

@@ -183,7 +183,7 @@ def sound_mesh(engine: Engine, method: str, problem: ContactProblem, made: objec
                ) -> MeshArrays:
     """A mesh that an engine has made: sound, with the problem's boundaries and the bodies of another mesh."""
     name = f"engine {checks.shown(engine)}: what {method} returns"
-    checks.instance(name, made, MeshArrays, "MeshArrays")
+    made = checks.instance(name, made, MeshArrays, "MeshArrays")
     try:
         check_mesh(made)
         if made.dim != problem.dim:

@@ -3,22 +3,13 @@
 import numpy as np
 import pytest
 from simplex_meshes import random_box
-from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.estimate import edge_bubbles as module
 from adaptmg.estimate.edge_bubbles import edge_bubbles
 from adaptmg.mesh import structured
 
 MATERIAL = {2: am.PlaneStrain(young=3.0, poisson=0.3), 3: am.Solid(young=3.0, poisson=0.3)}
 ROUND, RING = am.Axisymmetric(young=3.0, poisson=0.3), am.Rectangle(width=1.0, height=1.0, origin=(0.5, 0.0))
-
-
-@pytest.fixture(params=[False, True], ids=["compiled", "plain"])
-def jit(request, monkeypatch):
-    if request.param:
-        uncompile(monkeypatch, module)
-    return request.param
 
 
 def posed(mesh, material, loads=()):
@@ -29,7 +20,7 @@ def posed(mesh, material, loads=()):
 
 
 @pytest.mark.parametrize("material", [*MATERIAL.values(), ROUND], ids=["2D", "3D", "axisymmetric"])
-def test_blocks_are_the_diagonal_of_a_symmetric_stiffness(material, jit):
+def test_blocks_are_the_diagonal_of_a_symmetric_stiffness(material):
     mesh = structured(RING, 2) if material is ROUND else random_box(5, material.dim, 1)
     dim, found = mesh.dim, edge_bubbles(mesh, posed(mesh, material))
     blocks, _ = found.actions(np.zeros((1, mesh.n_nodes, dim)))
@@ -44,7 +35,7 @@ def test_blocks_are_the_diagonal_of_a_symmetric_stiffness(material, jit):
                                        atol=1e-12 * np.abs(blocks).max())
 
 
-def test_axisymmetric_uniform_stress_does_no_work_inside(jit):
+def test_axisymmetric_uniform_stress_does_no_work_inside():
     mesh = structured(RING, 3)
     found = edge_bubbles(mesh, posed(mesh, ROUND))
     field = np.column_stack([0.3 * mesh.points[:, 0], -0.7 * mesh.points[:, 1]])
@@ -68,7 +59,7 @@ def test_loads_do_the_work_of_their_integrals(dim):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_linear_fields_pressure_and_initial_strain_act_through_the_boundary_alone(dim, jit):
+def test_linear_fields_pressure_and_initial_strain_act_through_the_boundary_alone(dim):
     mesh, m = random_box(5, dim, 1), MATERIAL[dim]
     found = edge_bubbles(mesh, posed(mesh, m))
     slope = np.random.default_rng(1).standard_normal((dim, dim))
