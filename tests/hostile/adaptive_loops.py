@@ -64,13 +64,13 @@ def _moved(mesh, value):
 #: what is not a finer mesh of the problem
 MESHES = {
     "text": lambda m: "mesh", "arrays": lambda m: (_finer(m).points, _finer(m).elements),
-    "NaN": lambda m: _moved(m, NAN), "folded": lambda m: _moved(m, 5.0),
+    "folded": lambda m: _moved(m, 5.0),
     "with a hole": lambda m: _changed(_finer(m), elements=_finer(m).elements[:-1], element_body=None),
     "without names": lambda m: _changed(_finer(m), boundaries=tuple("abcd")),
     "other bodies": lambda m: merged({"a": _finer(m), "b": _changed(m, points=m.points + 1.0)}),
     "3D": lambda m: structured(am.cases.greco_block().domain, 3),
 }
-FEW = {label: MESHES[label] for label in ("NaN", "without names")}
+FEW = {label: MESHES[label] for label in ("folded", "without names")}
 #: sound ones that lie elsewhere, which the transfer refuses
 ELSEWHERE = {"elsewhere": lambda m: _changed(_finer(m), points=_finer(m).points + 1.0),
              "ten times as large": lambda m: _changed(_finer(m), points=_finer(m).points * 10.0)}
@@ -107,7 +107,7 @@ def _marking():
     yield from _rows("Doerfler marks", Doerfler().mark, "estimate", ([1.0, NAN], [1.0, -1.0], [], np.eye(2), [1j]))
     for engine in (am.Bisect(), Remesh()):
         yield Hostile(f"{type(engine).__name__} of another estimate", lambda e=engine: _refined(
-            e, estimate=am.Estimate(squares=[1.0], norm=1.0)), "squares" if engine == Remesh() else "estimate is of")
+            e, estimate=am.Estimate(squares=[1.0], norm=1.0)), "estimate is of")
     yield Hostile("Bisect marks numbers", lambda: _refined(am.Bisect(), marked=np.arange(9)), "boolean mask")
 
 
@@ -161,7 +161,7 @@ def _errors():
 
 
 def _levels():
-    says = {"without names": "bound", "NaN": "points"}
+    says = {"without names": "bound", "folded": "degenerate"}
     for label, made in FEW.items():
         yield Hostile(f"append {label}", lambda m=made: _grids().append(m(_mesh())), says.get(label, "mesh"),
                       (TypeError, ValueError, FileNotFoundError))
