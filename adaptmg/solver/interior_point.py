@@ -113,7 +113,8 @@ class _Method:
             return False
         self.change[:] = 0.0
         length = min(1.0, self._direct(solve, 0.0, 0.0)[1])
-        aim = min(max(_after(self.state, *self.nodes, self.change, length) / self.total, 0.0), 1.0)**3
+        left = _after(self.state, *self.nodes, self.change, length)
+        aim = min(max(left / self.total, 0.0), 1.0)**3 if self.total > 0 else 0.0  # a product may round to zero
         more, length = self._direct(solve, aim * mean, 1.0 if length >= 0.5 else length * length)
         if _WAY * length < _SHORT:
             corrected, shorter, direction = more, length, self.change.copy()
