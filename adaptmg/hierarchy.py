@@ -363,10 +363,10 @@ class Hierarchy:
         begin = clock()
         self._need_meshes("with_problem")
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
-        if problem.domain is not None and self.problem.domain is not None and not same(problem.domain,
-                                                                                       self.problem.domain):
-            raise ValueError(f"problem has another domain, {checks.shown(problem.domain)}, than these meshes, "
-                             f"{checks.shown(self.problem.domain)}: mesh it with Hierarchy.graded or uniform")
+        domain, other = self.problem.domain, problem.domain
+        if domain is not None and other is not None and other is not domain and not same(other, domain):
+            raise ValueError(f"problem has another domain, {checks.shown(other)}, than these meshes, "
+                             f"{checks.shown(domain)}: mesh it with Hierarchy.graded or uniform")
         own, asked = ((*one.contact_boundaries, *one.masters) for one in (self.problem, problem))
         if own != asked:
             raise ValueError(f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "

@@ -26,6 +26,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy import sparse
@@ -101,9 +102,7 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     parts["strain_free"] = _strain_free(mesh, problem.loads, materials)
     for array in (parts["load"], fixed, values, *bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
-    if weights is None:
-        return DiscreteProblem.assembled(**parts)
-    return DiscreteProblem.coupled(**parts, weights=weights)
+    return DiscreteProblem.assembled(weights, **parts)
 
 
 def _strain_free(mesh: MeshArrays, loads: Sequence[Load], materials: Materials) -> tuple[np.ndarray, float] | None:
@@ -115,39 +114,26 @@ def _strain_free(mesh: MeshArrays, loads: Sequence[Load], materials: Materials) 
 
 def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
     """Names of the parts that may have other values than ``before``; functions may return others."""
-    def alike(name: str) -> bool:
-        part = getattr(problem, name)
-        return same(part, getattr(before, name)) and _plain(part)
-    return frozenset(name for name in ("material", "supports", "contact", "loads") if not alike(name))
+    return frozenset(name for name in ("material", "supports", "contact", "loads")
+                     if not same(getattr(problem, name), getattr(before, name)))
+
+
+_PLAIN = (type(None), bool, int, float, str, np.number, Path)
 
 
 def same(a: object, b: object) -> bool:
-    """Whether two parts of problems have the same values."""
-    if a is b:
-        return True
+    """Whether parts of problems have the same values; functions and objects of other modules may change unseen."""
     if type(a) is not type(b):
         return False
     if isinstance(a, np.ndarray):
         return np.array_equal(a, b)
-    if is_dataclass(a):
-        return all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
     if isinstance(a, tuple):
         return len(a) == len(b) and all(map(same, a, b))
     if isinstance(a, Mapping):
         return list(a) == list(b) and all(same(a[key], b[key]) for key in a)
-    return bool(a == b)
-
-
-def _plain(value: object) -> bool:
-    """Whether a value says all by itself: functions, files and objects of other modules may change unseen."""
-    if value is None or isinstance(value, bool | int | float | str | np.ndarray | np.number):
-        return True
-    if isinstance(value, tuple):
-        return all(map(_plain, value))
-    if isinstance(value, Mapping):
-        return all(map(_plain, value.values()))
-    own = type(value).__module__.partition(".")[0] == __name__.partition(".")[0]
-    return own and is_dataclass(value) and all(_plain(getattr(value, one.name)) for one in fields(value))
+    if is_dataclass(a) and type(a).__module__.startswith("adaptmg."):
+        return all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
+    return isinstance(a, _PLAIN) and bool(a == b)
 
 
 def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem, changed: frozenset[str]
@@ -228,16 +214,6 @@ def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.
 _ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """The nodes of one contact boundary in front of an obstacle: arrays over them."""
-
-    nodes: np.ndarray
-    normals: np.ndarray
-    weights: np.ndarray
-    gaps: np.ndarray
-
-
 def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
                  excluded: np.ndarray | None = None, fixed: np.ndarray | None = None
                  ) -> tuple[ContactNodes, sparse.csr_array | None]:
@@ -268,9 +244,6 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
                               for name in ("normals", "weights", "gaps"))
     _check_supports(problem, mesh, nodes, boundary, fixed[nodes] & (np.abs(normals) > 1e-8))
     if slip_reference is not None:
-        if np.shape(slip_reference) != mesh.points.shape:
-            raise ValueError(f"slip_reference must be a displacement of all nodes, shape {mesh.points.shape}, got "
-                             f"{np.shape(slip_reference)}")
         slip_reference = check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
     contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
                            slip_reference=slip_reference,
@@ -279,9 +252,9 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     return contact, _followed(parts, mesh.n_nodes)
 
 
-def _followed(parts: list[_Part | MortarInterface], n_nodes: int) -> sparse.csr_array | None:
+def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | None:
     """Rows (n_nodes, n_nodes) of what the nodes of all pairs face."""
-    coupled = [part for part in parts if isinstance(part, MortarInterface)]
+    coupled = [part for part in parts if part.coupling is not None]
     if not coupled:
         return None
     rows = np.concatenate([np.repeat(part.nodes, np.diff(part.coupling.indptr)) for part in coupled])
@@ -291,7 +264,7 @@ def _followed(parts: list[_Part | MortarInterface], n_nodes: int) -> sparse.csr_
 
 
 def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
-                 owner: np.ndarray, k: int, fixed: np.ndarray) -> _Part:
+                 owner: np.ndarray, k: int, fixed: np.ndarray) -> MortarInterface:
     """The nodes that contact boundary k owns, in front of a rigid obstacle."""
     nodes = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
     try:
@@ -308,7 +281,7 @@ def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, su
         raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
                          f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
                          "allow_interference=True for an interference fit")
-    return _Part(nodes, normals, weights, gaps)
+    return MortarInterface(nodes, normals, weights, gaps)
 
 
 def _lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -113,23 +113,23 @@ class DiscreteProblem(Unknowns):
                      strain_free: tuple[np.ndarray, float] | None = None) -> None: ...
 
     @classmethod
-    def assembled(cls, **parts: object) -> DiscreteProblem:
-        """From the package's own assembly, which is not searched for what a user's matrix may have wrong.
-
-        The matrix, symmetric in dim x dim blocks with sorted columns, is stored without a copy; ``near_nullspace`` may
-        be :class:`~adaptmg._on_demand.OnDemand`.
-        """
+    def assembled(cls, weights: sparse.csr_array | None = None, **parts: Any) -> DiscreteProblem:
+        """Return the problem of the package's own assembly, whose arrays nobody writes and which is not searched for
+        what a user's may have wrong; with ``weights`` as of :meth:`coupled`. ``near_nullspace`` is
+        :class:`~adaptmg._on_demand.OnDemand`."""
+        if weights is not None:
+            parts = _in_relative_coordinates(weights, parts)
         result = cls.__new__(cls)
-        object.__setattr__(result, "_assembled", True)
-        result.__init__(**parts)
+        result.__dict__.update({one.name: parts.get(one.name, one.default) for one in fields(cls)},
+                               matrix=indices_frozen(parts["matrix"]))
+        result._complete()
         return result
 
     @classmethod
     def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law, contact: ContactNodes,
                 weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
-                coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | OnDemand | None = None,
-                name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None,
-                strain_free: tuple[np.ndarray, float] | None = None) -> DiscreteProblem:
+                coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | None = None,
+                name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None) -> DiscreteProblem:
         """Several bodies in contact, from their uncoupled matrix and load: in relative coordinates, with ``coupling``.
 
         Parameters as of the class, in displacements, as are those of the Result of :func:`adaptmg.solve`. ``weights``
@@ -142,9 +142,7 @@ class DiscreteProblem(Unknowns):
         check_law(law)
         contact.check_name_contact()
         dim, fixed = contact.dim, checked_mask("fixed", fixed)
-        # only the package's own assembly gives modes on demand
-        own = isinstance(near_nullspace, OnDemand)
-        blocks, n = matrix if own else checked_matrix(matrix, dim), len(fixed)
+        blocks, n = checked_matrix(matrix, dim), len(fixed)
         if blocks.shape[0] != n:
             raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
         weights = check_arrays.sparse_matrix("weights", weights, (n // dim, n // dim))
@@ -152,22 +150,14 @@ class DiscreteProblem(Unknowns):
         _check_row_sums(weights)
         contact.check_nodes(n // dim)
         check_bounds(law, len(contact))
-        contact, weights, law, exchange = exchanged(contact, weights, fixed, law)
-        coupling = Coupling(weights, fixed)
-        if own:
-            near_nullspace = OnDemand(partial(_relative_modes, near_nullspace))
-        elif near_nullspace is not None:
-            near_nullspace = coupling.relative(bounded("near_nullspace", near_nullspace, (n, None)))
+        if near_nullspace is not None:
+            near_nullspace = bounded("near_nullspace", near_nullspace, (n, None))
         elif coordinates is not None:
-            points = bounded("coordinates", coordinates, (n // dim, dim), checks.VAST)
-            near_nullspace = coupling.relative(rigid_body_modes(points))
-        if strain_free is not None:
-            strain_free = coupling.relative_forces(strain_free[0]), strain_free[1]
-        make = cls.assembled if own else cls
-        return make(matrix=coupling.transformed(blocks), fixed=fixed, law=law, contact=contact,
-                    load=coupling.relative_forces(bounded("load", load, (n,))), fixed_values=fixed_values,
-                    coordinates=coordinates, name=name, coupling=coupling, bodies=bodies, exchange=exchange,
-                    near_nullspace=near_nullspace, strain_free=strain_free)
+            near_nullspace = rigid_body_modes(bounded("coordinates", coordinates, (n // dim, dim), checks.VAST))
+        return cls(**_in_relative_coordinates(weights, {
+            "matrix": blocks, "load": bounded("load", load, (n,)), "fixed": fixed, "law": law, "contact": contact,
+            "fixed_values": fixed_values, "coordinates": coordinates, "near_nullspace": near_nullspace, "name": name,
+            "bodies": bodies}))
 
     def __repr__(self) -> str:
         return shortened(f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} of "
@@ -208,23 +198,19 @@ class DiscreteProblem(Unknowns):
         check_law(self.law)
         checks.boundary_name("name", self.name)
         dim = self.contact.dim
-        own = "_assembled" in self.__dict__
-        matrix = self.matrix if own else checked_matrix(self.matrix, dim)
+        matrix = checked_matrix(self.matrix, dim)
         n = matrix.shape[0]
         self.contact.check_nodes(n // dim)
         if self.exchange is None:
             self.contact.check_name_contact()
         fixed = checked_mask("fixed", self.fixed, n)
-        load = bounded("load", self.load, (n,))
-        check_size("load", largest_entry(load))
         values = np.zeros(n) if self.fixed_values is None else self.fixed_values
-        if not own and isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
+        if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
             values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
-        values = bounded("fixed_values", values, (n,), checks.VAST)
-        if not own:
-            values = np.where(fixed, values, 0.0)
-            values.flags.writeable = False
-        arrays = {"matrix": indices_frozen(matrix), "load": load, "fixed": fixed, "fixed_values": values}
+        values = np.where(fixed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
+        values.flags.writeable = False
+        arrays = {"matrix": indices_frozen(matrix), "load": bounded("load", self.load, (n,)), "fixed": fixed,
+                  "fixed_values": values}
         if self.coordinates is not None:
             arrays["coordinates"] = bounded("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
         modes = self.__dict__["near_nullspace"]
@@ -235,17 +221,22 @@ class DiscreteProblem(Unknowns):
             if not modes.any():
                 raise ValueError("near_nullspace holds no mode: give the rigid-body motions, a column each, or None")
         arrays["near_nullspace"] = modes
+        if self.bodies is not None:
+            arrays["bodies"] = checked_bodies(self.bodies, n // dim)
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "_structure", Token())
-        if self.bodies is not None:
-            object.__setattr__(self, "bodies", checked_bodies(self.bodies, n // dim))
         if self.coupling is not None:
             checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
-        if self.coupling is not None and not np.array_equal(self.coupling.fixed, arrays["fixed"]):
+        if self.coupling is not None and not np.array_equal(self.coupling.fixed, fixed):
             raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
         self._check_fixed_at_contact()
+        self._complete()
+
+    def _complete(self) -> None:
+        """Check what the user's functions return, and mark the structure; see :func:`remembered_of_structure`."""
+        check_size("load", largest_entry(self.load))
         check_bounds(self.law, len(self.contact))
+        object.__setattr__(self, "_structure", Token())
 
     def _check_fixed_at_contact(self) -> None:
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
@@ -287,6 +278,22 @@ def _check_row_sums(weights: sparse.csr_array) -> None:
     if not np.abs(sums - 1).max(initial=0.0) <= 1e-8:
         i = int(np.argmax(np.abs(sums - 1)))
         raise ValueError(f"weights must have rows with sum 1, got {sums[i]:.6g} at node {followers[i]}")
+
+
+def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -> dict[str, Any]:
+    """The parts of a problem of several bodies, which have been checked, with their coupling."""
+    contact, weights, law, exchange = exchanged(parts["contact"], weights, parts["fixed"], parts["law"])
+    coupling, modes = Coupling(weights, parts["fixed"]), parts["near_nullspace"]
+    if isinstance(modes, OnDemand):
+        modes = OnDemand(partial(_relative_modes, modes))
+    elif modes is not None:
+        modes = coupling.relative(modes)
+    load, strain_free = coupling.relative_forces(parts["load"]), parts.get("strain_free")
+    load.flags.writeable = False
+    if strain_free is not None:
+        strain_free = coupling.relative_forces(strain_free[0]), strain_free[1]
+    return parts | {"matrix": coupling.transformed(parts["matrix"]), "load": load, "law": law, "contact": contact,
+                    "near_nullspace": modes, "coupling": coupling, "exchange": exchange, "strain_free": strain_free}
 
 
 def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:

@@ -27,7 +27,6 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._numba import kernel
 from adaptmg.discrete.contact_nodes import largest_entry
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.search import BoxTree
@@ -49,37 +48,15 @@ def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_
     return csr_from_weights(facets[facet], weights, coarse.n_nodes)
 
 
-@kernel
-def _merge(row_of, p_indptr, p_indices, p, r_indptr, r_indices, r, indptr, indices, data):
-    """Rows of P, or row ``row_of`` of R where that is not negative."""
-    for i in range(len(row_of)):
-        to = indptr[i]
-        if row_of[i] < 0:
-            for k in range(p_indptr[i], p_indptr[i + 1]):
-                indices[to], data[to] = p_indices[k], p[k]
-                to += 1
-        else:
-            for k in range(r_indptr[row_of[i]], r_indptr[row_of[i] + 1]):
-                indices[to], data[to] = r_indices[k], r[k]
-                to += 1
-
-
 def with_contact_rows(P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.csr_array) -> sparse.csr_array:
     """A nodal prolongation (n_fine, n_coarse) with other rows (n, n_coarse) for distinct fine nodes (n,)."""
     nodes = check_arrays.array("fine_nodes", fine_nodes, (None,), integer=True)
     if rows.shape != (len(nodes), P.shape[1]) or len(np.unique(nodes)) < len(nodes):
         raise ValueError(f"rows must have shape ({len(nodes)}, {P.shape[1]}), one for each of distinct fine_nodes, got "
                          f"{rows.shape}")
-    P, rows = sparse.csr_array(P), sparse.csr_array(rows)
-    row_of = np.full(P.shape[0], -1)
-    row_of[nodes] = np.arange(len(nodes))
-    lengths = np.diff(P.indptr)
-    lengths[nodes] = np.diff(rows.indptr)
-    indptr = np.zeros_like(P.indptr)
-    np.cumsum(lengths, out=indptr[1:])
-    indices, data = np.empty(indptr[-1], dtype=P.indices.dtype), np.empty(indptr[-1])
-    _merge(row_of, P.indptr, P.indices, P.data, rows.indptr, rows.indices, rows.data, indptr, indices, data)
-    return sparse.csr_array((data, indices, indptr), shape=P.shape)
+    row_of = np.arange(P.shape[0])
+    row_of[nodes] = P.shape[0] + np.arange(len(nodes))
+    return sparse.csr_array(sparse.vstack([P, rows], format="csr")[row_of])
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,7 +134,7 @@ class TestDiscretise:
         displacement = np.arange(PLATE.points.size, dtype=float).reshape(-1, 2)
         contact = discretise(plane_problem(), PLATE, slip_reference=displacement).contact
         np.testing.assert_array_equal(contact.slip_reference, displacement[contact.nodes])
-        with pytest.raises(ValueError, match="slip_reference must be a displacement of all nodes"):
+        with pytest.raises(ValueError, match=r"slip_reference must have shape \(\d+, 2\)"):
             contact_data(plane_problem(), PLATE, slip_reference=displacement[:3])
         # laws become nodal
         tresca = discretise(plane_problem(law=am.Tresca(lambda x: 1e3 * (1 + x[:, 0]))), PLATE)

@@ -23,7 +23,7 @@ _DEEPEST = 0.25  # of the size of the surfaces: overlap that is found without a 
 
 @dataclass(frozen=True, eq=False)
 class MortarInterface:
-    """Slave nodes with a multiplier, and what they face."""
+    """Contact nodes of a boundary (of a pair: slave nodes with a multiplier), and what they face."""
 
     nodes: np.ndarray  # (n,) int: slave nodes, ascending
     normals: np.ndarray  # (n, dim): unit normals, out of the slave body
@@ -33,10 +33,10 @@ class MortarInterface:
     gaps: np.ndarray  # (n,): initial gap along the normal, m; negative where the bodies overlap
     #: (n, n_nodes): B, rows with sum 1, some entries negative; its columns are nodes of the master surface, and slave
     #: nodes without a multiplier
-    coupling: sparse.csr_array
+    coupling: sparse.csr_array | None = None  # in front of an obstacle
     #: (n,): smallest distance between the surfaces around each node, m, for the question whether they overlap: a dual
     #: function changes sign, so that its mean of a distance >= 0 may be negative
-    closest: np.ndarray
+    closest: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.nodes)
