@@ -16,12 +16,8 @@ class OnDemand:
     make: Callable[[Any], object]  # of the object that has the field; returns the value
 
 
-#: the default of a field that reading turns into a value or :class:`Absent`, or that ``__post_init__`` fills
+#: the default of a field that reading turns into a value or an error, or that ``__post_init__`` fills
 ABSENT: Any = None
-
-
-class Absent(AttributeError, ValueError):
-    """Raised where an optional part is read that an object does not have; ``getattr(x, name, None)`` gives None."""
 
 
 def made_on_demand(name: str, doc: str, absent: str = "") -> Any:
@@ -29,14 +25,14 @@ def made_on_demand(name: str, doc: str, absent: str = "") -> Any:
 
     The field keeps its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`.
     ``dataclasses.replace`` reads it: say what the new value is, where it depends on what is replaced. With ``absent``,
-    the field may be None, and reading it raises :class:`Absent` with this text.
+    the field may be None, and reading it raises ValueError with this text.
     """
     def value(owner: object) -> Any:
         held = owner.__dict__[name]
         if isinstance(held, OnDemand):
             held = owner.__dict__[name] = held.make(owner)
         if held is None and absent:
-            raise Absent(absent)
+            raise ValueError(absent)
         return held
 
     return property(value, lambda owner, given: owner.__dict__.__setitem__(name, given), doc=doc)

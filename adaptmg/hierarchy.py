@@ -86,14 +86,14 @@ class Hierarchy:
             checks.instance("problem", self.problem, ContactProblem, "a ContactProblem")
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
             wanted = (fine.n_nodes, coarse.n_nodes)
-            if not hasattr(coarse, "discrete") and coarse.matrix.blocksize[0] == 1:
+            if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
                 wanted = (fine.matrix.shape[0], coarse.matrix.shape[0])
             for name in ("prolongation", "surface_prolongation"):
-                matrix = getattr(fine, name, None)
+                matrix = vars(fine)[name]
                 if (matrix is None and name == "prolongation") or (matrix is not None and matrix.shape != wanted):
                     got = None if matrix is None else matrix.shape
                     raise ValueError(f"levels[{k}].{name} must have shape {wanted} (fine, coarse), got {got}")
-        if not hasattr(levels[-1], "discrete"):
+        if levels[-1].discrete_or_none is None:
             raise ValueError("the finest level has no DiscreteProblem")
         object.__setattr__(self, "levels", levels)
 
@@ -302,7 +302,7 @@ class Hierarchy:
     @property
     def discretised(self) -> bool:
         """Whether every level poses the contact problem; if not, only ``Truncated`` without nested start can use it."""
-        return all(hasattr(level, "discrete") for level in self.levels)
+        return all(level.discrete_or_none is not None for level in self.levels)
 
     def need_discretised(self, what: str) -> None:
         """ValueError unless every level poses the contact problem."""
@@ -316,7 +316,7 @@ class Hierarchy:
         if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
             raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
         first, *rest = self.levels[coarsest:finest + 1]
-        first = Level(getattr(first, "discrete", None), getattr(first, "mesh", None), galerkin=first.galerkin)
+        first = Level(first.discrete_or_none, first.mesh_or_none, galerkin=first.galerkin)
         return replace(self, levels=(first, *rest), timings=dict(self.timings))
 
     @one_blas_thread()
@@ -400,7 +400,8 @@ class Hierarchy:
         return {name: self.timings.get(name, 0.0) + seconds.get(name, 0.0) for name in {**self.timings, **seconds}}
 
     def _need_meshes(self, what: str) -> None:
-        if self.problem is None or not all(hasattr(one, name) for one in self.levels for name in ("mesh", "discrete")):
+        if self.problem is None or any(one.mesh_or_none is None or one.discrete_or_none is None
+                                       for one in self.levels):
             raise ValueError(f"{what}: these levels ({self.origin}) are not made of meshes of a ContactProblem; make "
                              "them with Hierarchy.from_meshes, graded or uniform")
 
@@ -420,7 +421,7 @@ class Hierarchy:
         Mesh ratios take time the first time; ``ratios=False`` leaves those out (NaN) that nobody has asked for.
         """
         return [{"level": k, "nodes": level.n_nodes,
-                 "contact_nodes": len(level.discrete.contact) if hasattr(level, "discrete") else 0,
+                 "contact_nodes": len(level.discrete.contact) if level.discrete_or_none is not None else 0,
                  "nonzeros": level.matrix.nnz, "mesh_ratio": level.mesh_ratio if ratios else level.known_ratio}
                 for k, level in enumerate(self.levels)]
 

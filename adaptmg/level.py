@@ -36,7 +36,7 @@ class Level:
     ----------
     discrete : DiscreteProblem
         The problem discretised on this grid. Where only a coarse space is known (given as None), reading it raises
-        AttributeError, as reading an absent mesh or prolongation does; ``getattr(level, "mesh", None)`` asks.
+        ValueError, as reading an absent mesh or prolongation does; ``discrete_or_none`` and ``mesh_or_none`` do not.
     mesh : MeshArrays
     prolongation : csr_array
         Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse spaces, its dofs
@@ -56,7 +56,7 @@ class Level:
     (25, 9)
     """
 
-    # the first three may be given as None; they are properties that say what is absent (below the class)
+    # the first three may be given as None; reading them then raises (properties below the class)
     discrete: DiscreteProblem
     mesh: MeshArrays = None
     prolongation: sparse.csr_array = None
@@ -65,7 +65,7 @@ class Level:
     surface_prolongation: sparse.csr_array | None = None
 
     def __post_init__(self) -> None:
-        discrete, mesh = getattr(self, "discrete", None), getattr(self, "mesh", None)
+        discrete, mesh = self.discrete_or_none, self.mesh_or_none
         if discrete is not None:
             checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem or None")
         elif not (sparse.issparse(self.galerkin) and self.galerkin.format == "bsr"):
@@ -79,7 +79,7 @@ class Level:
         if mesh is not None:
             checks.instance("mesh", mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts")
         for name in ("prolongation", "surface_prolongation"):
-            value = getattr(self, name, None)
+            value = self.__dict__[name]
             if value is not None:
                 value = check_arrays.sparse_matrix(name, value)
                 as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
@@ -96,6 +96,16 @@ class Level:
         return result
 
     @property
+    def discrete_or_none(self) -> DiscreteProblem | None:
+        """``discrete``; None of a coarse space without one."""
+        return self.__dict__["discrete"]
+
+    @property
+    def mesh_or_none(self) -> MeshArrays | None:
+        """``mesh``; None of a level that comes from matrices."""
+        return self.__dict__["mesh"]
+
+    @property
     def known_ratio(self) -> float:
         """``mesh_ratio`` if it was read before, else NaN."""
         held = self.__dict__["mesh_ratio"]
@@ -109,7 +119,7 @@ class Level:
     @property
     def matrix(self) -> sparse.bsr_array:
         """The discretised matrix, or the Galerkin one of a coarse space."""
-        return self.galerkin if getattr(self, "discrete", None) is None else self.discrete.matrix
+        return self.galerkin if self.discrete_or_none is None else self.discrete.matrix
 
     @property
     def n_nodes(self) -> int:

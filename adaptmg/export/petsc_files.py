@@ -145,13 +145,13 @@ class Part:
 
 def _parts_of_level(number: int, level: Level) -> Iterator[Part]:
     prefix = f"level{number}_"
-    if not hasattr(level, "discrete"):
+    if level.discrete_or_none is None:
         block = level.matrix.blocksize[0]
         yield Part(f"{prefix}matrix", "Mat", "Galerkin matrix P' A P of this coarse space, fixed dofs left out", "N/m",
                    level.matrix, block)
     else:
         yield from _discrete(prefix, level.discrete)
-    if hasattr(level, "prolongation"):
+    if number > 0:
         yield _prolongation(f"{prefix}prolongation", level, level.prolongation,
                             f"P from level {number - 1} to level {number}, in unknowns")
     if level.surface_prolongation is not None:

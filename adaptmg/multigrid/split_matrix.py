@@ -175,7 +175,7 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
     result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
     for above, level, nodal in zip(reversed(hierarchy.levels[1:]), reversed(hierarchy.levels[:-1]),
                                    reversed(prolongations), strict=True):
-        if not hasattr(level, "discrete"):
+        if level.discrete_or_none is None:
             matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
         elif level.discrete.coupling is None and _nested(above, level, matrix, nodal):
             matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
@@ -183,7 +183,7 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
             finer = seen(nodal, finer)
             matrix = galerkin_product(_supported(matrix, fine, nodal, level.discrete), finer)
             fixed = level.discrete.fixed
-        fine = getattr(level, "discrete", None)
+        fine = level.discrete_or_none
         result.insert(0, split(matrix, fixed))
     return result
 

@@ -211,7 +211,7 @@ def _seen_along(x: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, tuple[str,
 
 def _triangles(result: Result, boundary: str, index: np.ndarray) -> np.ndarray | None:
     """Facets of the boundary whose corners are all contact nodes, numbered within ``index``; None without any."""
-    if not hasattr(result, "mesh"):
+    if result.mesh_or_none is None:
         return None
     place = np.full(result.mesh.n_nodes, -1)
     place[result.contact.node[index]] = np.arange(len(index))
@@ -249,7 +249,7 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
 def _parts(result: Result, boundary: str, index: np.ndarray
            ) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray | None]:
     """Contact nodes of each part with arc lengths along the whole boundary, and the point where these begin."""
-    if not hasattr(result, "mesh"):
+    if result.mesh_or_none is None:
         x = result.contact.x[index]
         order = np.argsort((x - x.mean(axis=0)) @ np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2][0])
         return [(index[order], _arc_length(x[order]))], None

@@ -66,7 +66,7 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     2
     """
     levels = checks.instance("hierarchy", hierarchy, Hierarchy).levels
-    without = [k for k, level in enumerate(levels) if not hasattr(level, "mesh")]
+    without = [k for k, level in enumerate(levels) if level.mesh_or_none is None]
     if without:
         raise ValueError(f"levels {without} have no mesh to draw: make the hierarchy from meshes")
     dim = hierarchy.finest.mesh.dim

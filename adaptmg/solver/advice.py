@@ -88,7 +88,7 @@ def advise_on_result(problem: ContactProblem | None, result: Result, contact: bo
         return
     if contact:
         _advise_on_contact([result])
-    if problem is not None and hasattr(result, "mesh"):
+    if problem is not None and result.mesh_or_none is not None:
         _advise_on_strains(problem, result.mesh, result)
         _advise_on_slips(problem, result.mesh, result)
 

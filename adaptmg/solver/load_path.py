@@ -186,7 +186,7 @@ def _results(store: StepStore, steps: int) -> list[tuple[Result, list[np.ndarray
     if len(stored) > steps:
         raise ValueError(f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
                          "remove it")
-    return [(replace(step.value, mesh=getattr(stored[0].value, "mesh", None)), step.more) for step in stored]
+    return [(replace(step.value, mesh=stored[0].value.mesh_or_none), step.more) for step in stored]
 
 
 class StepNotConverged(NotConverged):
@@ -272,10 +272,10 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         results.append(result)
     if len(results) < len(path):
         warn_of_large_friction(loop.examiner)
-        advise_on_problem(grids.problem, getattr(grids.finest, "mesh", None))
+        advise_on_problem(grids.problem, grids.finest.mesh_or_none)
     for k in range(len(results), len(path)):
         result = loop.step(k, progress if callable(progress) else None)
-        result = replace(result, choice=choice, mesh=getattr(result, "mesh", None))
+        result = replace(result, choice=choice, mesh=result.mesh_or_none)
         if progress is True:
             say(loop.report(k, result))
         results.append(result)
@@ -404,7 +404,7 @@ class PathLoop:
                           float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0)
         result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
         # all forces vanish: a relative residual would be rounding over nothing
-        return replace(result, status=Status.CONVERGED, residual=0.0, mesh=getattr(result, "mesh", None))
+        return replace(result, status=Status.CONVERGED, residual=0.0, mesh=result.mesh_or_none)
 
     def _posed(self, k: int) -> Hierarchy:
         """The hierarchy with loads, prescribed values and slip references of a step."""
@@ -444,13 +444,13 @@ class PathLoop:
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
-    known = all(hasattr(level, "mesh") for level in grids.levels if hasattr(level, "discrete"))
+    known = all(level.mesh_or_none is not None for level in grids.levels if level.discrete_or_none is not None)
     return grids.problem if known else None
 
 
 def _loads(grids: Hierarchy) -> list[LoadSteps | None]:
     """Loads and supports one by one on each level; None where a level is only a space."""
     named = _problem_with_names(grids) is not None
-    return [None if not hasattr(level, "discrete")
+    return [None if level.discrete_or_none is None
             else load_steps(grids.problem, level.mesh, level.discrete) if named else whole_load(level.discrete)
             for level in grids.levels]

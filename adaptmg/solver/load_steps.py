@@ -86,7 +86,7 @@ class KeptMultigrid(TruncatedRun):
     def take(self, hierarchy: Hierarchy, run: Run) -> None:
         """Go on to the next step: ``hierarchy`` differs in loads, prescribed values and slip references only."""
         self.hierarchy, self.run, self.cycle.recorder = hierarchy, run, run
-        self.problems = [getattr(level, "discrete", None) for level in hierarchy.levels]
+        self.problems = [level.discrete_or_none for level in hierarchy.levels]
         with run.phase("setup"):
             finest = self._steps.get(len(hierarchy) - 1)
             if finest is not None:

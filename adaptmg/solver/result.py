@@ -77,7 +77,7 @@ class Result:
     choice : str
         Why the solver was taken, where :func:`adaptmg.solve` chose one for one mesh; else empty.
     mesh : MeshArrays
-        Finest mesh (without its NGSolve source after loading); AttributeError if the result comes from a bare
+        Finest mesh (without its NGSolve source after loading); ValueError if the result comes from a bare
         DiscreteProblem.
     start_work_units : float
         The part of ``work_units`` spent before the first cycle on the finest level (nested start).
@@ -134,6 +134,11 @@ class Result:
     COMPONENTS: ClassVar[tuple[str, ...]] = ("xx", "yy", "zz", "xy", "yz", "xz")
 
     @property
+    def mesh_or_none(self) -> MeshArrays | None:
+        """``mesh``; None of a result that comes from a bare DiscreteProblem."""
+        return self.__dict__["mesh"]
+
+    @property
     def method(self) -> str:
         """Return the name of the solver, and of what took over from it."""
         return f"{self.solver_name}, then {self.fallback}" if self.fallback else self.solver_name
@@ -152,7 +157,7 @@ class Result:
         return shortened(str(self))
 
     def _repr_html_(self) -> str:
-        return in_html_lines(str(self)) + (html_table(self.pairs()) if hasattr(self, "mesh") else "")
+        return in_html_lines(str(self)) + (html_table(self.pairs()) if self.mesh_or_none is not None else "")
 
     def __str__(self) -> str:
         states = self.contact.counts()
@@ -277,8 +282,6 @@ class Result:
     def _extent(self, own: np.ndarray) -> np.ndarray:
         """Of the contact nodes that the mask ``own`` chooses."""
         c, mesh = self.contact, self.mesh
-        if mesh is None:
-            raise ValueError("this result has no mesh (it comes from a bare DiscreteProblem): read .contact_area")
         closed = np.isin(np.arange(mesh.n_nodes), c.node[own & c.closed])
         points = [mesh.points[closed]]
         for k in np.unique(c.boundary[own]):
@@ -332,7 +335,7 @@ class Result:
         return float(work[first]) if first < len(work) else float("inf")
 
     def _data(self) -> StressData:
-        if self.stress_data is None or not hasattr(self, "mesh"):
+        if self.stress_data is None or self.mesh_or_none is None:
             raise ValueError("this result has no materials to compute stresses from (it comes from a bare "
                              "DiscreteProblem): replace its mesh and stress_data=StressData.of(mesh, material)")
         return self.stress_data
@@ -363,7 +366,7 @@ class Result:
         to the lever between the two discrete surfaces: 1e-8 to 1e-4 of force times size on curved ones, across whose
         gap the mortar transmits each force without regard to its arm.
         """
-        mesh = getattr(self, "mesh", None)
+        mesh = self.mesh_or_none
         at_point = mesh is not None and boundary in self.springs and boundary not in mesh.boundaries
         nodes, forces = (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)
         if mesh is None:
@@ -383,11 +386,11 @@ class Result:
         master = np.array([boundary == name != "" for name in c.masters])
         if slave.any() or master.any():
             own = slave[c.boundary]
-            on_slaves = c.on_slaves(getattr(self, "mesh", None))
+            on_slaves = c.on_slaves(self.mesh_or_none)
             others = np.where(on_slaves, slave[c.master_boundary], master[c.master_boundary])
             return (np.concatenate([c.node[own], c.master_node[others]]),
                     np.concatenate([c.force[own], c.master_force[others]]))
-        if not hasattr(self, "mesh"):
+        if self.mesh_or_none is None:
             raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {c.names}")
         nodes, of_contact = self.mesh.boundary_nodes(boundary), np.zeros_like(self.reaction)
         of_contact[c.node] = c.force

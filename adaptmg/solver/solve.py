@@ -109,10 +109,10 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         run.examiner = examiner = Examiner(discrete)
         warn_of_large_friction(examiner)
         warn_of_several_solutions(grids)
-        advise_on_problem(grids.problem, getattr(grids.finest, "mesh", None))
+        advise_on_problem(grids.problem, grids.finest.mesh_or_none)
     outcome = handed_over(checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run)
     with run.phase("result"):
-        posed, mesh = grids.problem, getattr(grids.finest, "mesh", None)
+        posed, mesh = grids.problem, grids.finest.mesh_or_none
         stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
         result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
         advise_on_result(posed, result)
@@ -160,7 +160,7 @@ def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy,
     if n_dofs > FACTORISED[level.discrete.dim]:
         with suppress(ValueError):  # nothing to coarsen
             made = Hierarchy.algebraic(level.discrete)
-            levels = (*made.levels[:-1], replace(made.finest, mesh=getattr(level, "mesh", None)))
+            levels = (*made.levels[:-1], replace(made.finest, mesh=level.mesh_or_none))
             made = replace(made, levels=levels, problem=grids.problem)
             return made, Multigrid(), why + "multigrid on coarse spaces made from its matrix"
     return grids, ActiveSet(), why + "the active set method"
@@ -215,9 +215,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
     with run.phase("certificate"):
         # a solver of the user may go on with its array
         found = examiner(np.array(outcome.displacement), outcome.rtol)
-    mesh = cast("Any", getattr(grids.finest, "mesh", None))
-    problem, supports, springs = grids.problem, {}, {}
-    if problem is not None and hasattr(grids.finest, "mesh"):
+    mesh, problem, supports, springs = grids.finest.mesh_or_none, grids.problem, {}, {}
+    if problem is not None and mesh is not None:
         supports = held_components(mesh, problem.supports)
         springs = spring_resultants(mesh, problem.supports, found.displacement, problem.axisymmetric)
     keys = dict.fromkeys(key for row in run.history for key in row)

@@ -67,7 +67,7 @@ def check_statics_of(grids: Hierarchy, *, coarse_first: bool = True) -> None:
     """:func:`check_statics` on the finest level; where the coarsest one can be held the finest is not asked. A coarse
     grid has the same rigid motions, loads and directions of contact and costs nothing; what it cannot hold the finest
     one may (on a curved surface, say)."""
-    coarsest = getattr(grids[0], "discrete", None)
+    coarsest = grids[0].discrete_or_none
     if coarse_first and len(grids) > 1 and coarsest is not None and coarsest.near_nullspace is not None:
         try:
             check_statics(coarsest)
@@ -346,7 +346,7 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
 
 def warn_of_several_solutions(grids: Hierarchy) -> None:
     """Warn where the friction of a node exceeds the estimate on the coarsest grid, if that is cheap."""
-    problem = getattr(grids[0], "discrete", None)
+    problem = grids[0].discrete_or_none
     if problem is None or problem.n_dofs > REMEMBERED or len(problem.contact) * problem.dim > _SMALL_CONTACT:
         return
     friction = problem.law.bounds(len(problem.contact))[1]

@@ -68,7 +68,7 @@ class _Writer:
         elif kind is not None:
             # the source of a mesh is made when it is read
             written = {kind.__name__: value.name if isinstance(value, Enum) else {
-                one.name: self.plain(_joined(name, one.name), getattr(value, one.name, None))
+                one.name: self.plain(_joined(name, one.name), vars(value).get(one.name))
                 for one in fields(kind) if one.init and one.name != "source"}}
         elif isinstance(value, Mapping):
             return {"dict": {str(key): self.plain(_joined(name, key), part) for key, part in value.items()}}

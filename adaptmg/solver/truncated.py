@@ -285,7 +285,7 @@ class TruncatedRun:
             levels = galerkin_levels(hierarchy, prolongations)
             self.cycle = LinearCycle(levels, prolongations, run, parts.sweeps(levels), parts.coarse_solve,
                                      parts.coarse_smoother)
-        self.problems: list[DiscreteProblem | None] = [getattr(level, "discrete", None) for level in hierarchy.levels]
+        self.problems: list[DiscreteProblem | None] = [level.discrete_or_none for level in hierarchy.levels]
         self._coarse: CoarseContact | None = None
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
@@ -320,7 +320,7 @@ class TruncatedRun:
         """Richardson's share of the last change of the solution that the next level will add: discretisation errors
         fall like 1/n on uniform plane grids of n nodes. 0 elsewhere."""
         levels = self.hierarchy.levels[number - 1:number + 2] if number > 0 else ()
-        meshes = [getattr(level, "mesh", None) for level in levels]
+        meshes = [level.mesh_or_none for level in levels]
         if len(meshes) < 3 or not all(mesh is not None and mesh.dim == 2 and mesh.lattices for mesh in meshes):
             return 0.0
         before, here, after = (1 / mesh.n_nodes for mesh in meshes)
