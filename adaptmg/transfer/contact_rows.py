@@ -56,7 +56,7 @@ def with_contact_rows(P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.
                          f"{rows.shape}")
     row_of = np.arange(P.shape[0])
     row_of[nodes] = P.shape[0] + np.arange(len(nodes))
-    return sparse.csr_array(sparse.vstack([P, rows], format="csr")[row_of])
+    return check_arrays.narrowed(sparse.csr_array(sparse.vstack([P, rows], format="csr")[row_of]))
 
 
 @dataclass(frozen=True, eq=False)

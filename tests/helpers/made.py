@@ -78,6 +78,7 @@ def same(a: object, b: object) -> bool:
     if isinstance(a, list | tuple):
         return type(a) is type(b) and len(a) == len(b) and all(map(same, a, b))
     if type(a).__module__.startswith("adaptmg.") and hasattr(a, "__dataclass_fields__"):
-        return type(a) is type(b) and all(same(vars(a).get(k), vars(b).get(k))
-                                          for k in a.__dataclass_fields__ if k != "source")
+        return type(a) is type(b) and all(
+            same(*(vars(one).get(k, getattr(type(one), k, None)) for one in (a, b)))
+            for k in a.__dataclass_fields__ if k != "source")
     return a is b or a == b
