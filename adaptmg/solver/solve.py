@@ -215,8 +215,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
     with run.phase("certificate"):
         # a solver of the user may go on with its array
         found = examiner(np.array(outcome.displacement), outcome.rtol)
-    mesh, problem, supports, springs = grids.finest.mesh_or_none, grids.problem, {}, {}
-    if problem is not None and mesh is not None:
+    mesh, problem, supports, springs = cast("Any", grids.finest.mesh_or_none), grids.problem, {}, {}
+    if problem is not None and grids.finest.mesh_or_none is not None:
         supports = held_components(mesh, problem.supports)
         springs = spring_resultants(mesh, problem.supports, found.displacement, problem.axisymmetric)
     keys = dict.fromkeys(key for row in run.history for key in row)
