@@ -206,7 +206,7 @@ def posed(hierarchy: Hierarchy, result: Result) -> Posed:
     """A result on the finest mesh of a hierarchy, checked to belong to it."""
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
     checks.instance("result", result, Result, "a Result")
-    if hierarchy.problem is None or not hasattr(hierarchy.finest, "mesh"):
+    if hierarchy.problem is None or hierarchy.finest.mesh_or_none is None:
         raise ValueError("hierarchy has no ContactProblem or no mesh (it comes from matrices): make it by "
                          "Hierarchy.uniform, graded or from_meshes")
     mesh, discrete, own = hierarchy.finest.mesh, hierarchy.finest.discrete, result.mesh
