@@ -20,8 +20,7 @@ from adaptmg._on_demand import OnDemand, made_on_demand
 from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.domains import in_edges
-from adaptmg.problem import Assembly, ContactProblem, Outline, PointSpring, PointSupport, Polygon, Rectangle
+from adaptmg.problem import Assembly, ContactProblem, PointSpring, PointSupport
 from adaptmg.problem.plane_domains import Domain, with_vertex
 
 if TYPE_CHECKING:
@@ -246,9 +245,7 @@ def meshed_domain(problem: ContactProblem) -> Domain:
     def cut(domain: Domain, body: str | None) -> Domain:
         for one in problem.supports:
             if isinstance(one, PointSupport | PointSpring) and body in (None, one.body or body):
-                edges = in_edges(domain)
-                found = with_vertex(edges, one.point) if isinstance(edges, Rectangle | Polygon | Outline) else edges
-                domain = domain if found is edges else found
+                domain = with_vertex(domain, one.point) if domain.dim == 2 else domain
         return domain
 
     need_domain(problem)

@@ -28,7 +28,7 @@ from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.bisection.tables import as_initial
-from adaptmg.mesh.domains import check_domain, distance_to_boundaries, in_edges, plane_measures
+from adaptmg.mesh.domains import boundary_measures, distance_to_boundaries, in_edges
 from adaptmg.mesh.drafted import drafted
 from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_plane import (
@@ -45,6 +45,7 @@ from adaptmg.mesh.netgen_plane import (
     unreachable,
 )
 from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
+from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.step import SizeFunction, step_contents, step_mesh, step_shapes
 from adaptmg.mesh.structured import body_centred, boundaries_of, merged, per_body
 from adaptmg.mesh.triangulate import Untriangulated, triangulated
@@ -111,7 +112,6 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     >>> mesh.dim
     2
     """
-    check_domain(domain)
     domain = in_edges(domain)
     names = checks.items("contact_boundaries", contact_boundaries, str, "names of boundaries")
     if isinstance(domain, StepFile):
@@ -163,7 +163,7 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
                  rounds: int, mesher: str) -> MeshArrays:
     """See :func:`graded`; one body, checked arguments."""
     near = size / ratio
-    if isinstance(domain, SolidDomain):
+    if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
         return solid_mesh(domain, size, dict.fromkeys(names, near), grading, mesher=mesher)
     # before Netgen works for minutes on a mesh that bisection would then find too large
     refuse_too_many(guessed_nodes(domain, size, dict.fromkeys(names, near) if ratio > 1 else {}, grading), domain)
@@ -183,7 +183,8 @@ def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: flo
 def _own(domain: Domain, field: SizeField, growth: float | None = None) -> MeshArrays | None:
     """The mesh of a plane domain or a box, None if triangulation fails."""
     if isinstance(domain, Box):
-        return finished(domain, drafted(domain, _cells(domain, field), lambda mesh: _CLOSER * field(mesh.points)))
+        mesh = drafted(domain, _cells(domain, field), lambda mesh: _CLOSER * field(mesh.points))
+        return swept(check_mesh(mesh))
     try:
         return finished(domain, triangulated(domain, field, growth))
     except Untriangulated as error:
@@ -245,7 +246,6 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     >>> mesh.n_nodes > 10
     True
     """
-    check_domain(domain)
     domain = in_edges(domain)
     if isinstance(domain, StepFile):
         return step_mesh(domain, max_size, None, growth(grading), size_function,
@@ -258,7 +258,7 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     max_size = checks.positive("max_size", max_size)
     rounds, mesher = checks.integer("rounds", rounds, 1), checks.choice("mesher", mesher, MESHERS)
     grading = growth(grading)
-    if isinstance(domain, SolidDomain):
+    if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
         return solid_mesh(domain, max_size, None, grading, size_function, mesher=mesher)
 
     def wanted(x: np.ndarray) -> np.ndarray:
@@ -306,14 +306,13 @@ def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[flo
 
 def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
     """Area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of each boundary by its name."""
-    check_domain(domain)
     domain = in_edges(domain)
     if isinstance(domain, Assembly):
         found = {body: measures(part) for body, part in domain.parts.items()}
         return ([volume for volumes, _ in found.values() for volume in volumes],
                 {f"{body}.{name}": length for body, (_, lengths) in found.items() for name, length in lengths.items()})
     if domain.dim == 2:
-        area, lengths = plane_measures(domain)
+        area, lengths = boundary_measures(domain)
         return [area], lengths
     with netgen() as worker:
         if isinstance(domain, StepFile):

@@ -1,12 +1,12 @@
-r"""netgen_mesh: plane domains and boxes meshed by Netgen along a size field.
+r"""netgen_mesh: plane domains meshed by Netgen along a size field.
 
 Netgen is given a size along each side and, in the later rounds, the sizes at the centroids of the mesh before (its own
 interpolation of sizes between sides misses the field by up to 4). It grows sizes by at most ``grading`` per distance.
 The domain is scaled to unit extent before, because Netgen and OCC compare lengths with absolute tolerances.
 
 About :math:`\int c\, h^{-d} dx` nodes are expected, c = 1.15 in 2D and 1.4 in 3D; too many are refused before Netgen
-starts. While an :class:`~adaptmg.problem.Outline` is meshed, its boundaries are called by the numbers of its edges, so
-that nodes of every arc are known even where edges share a name; :func:`finished` gives them their names.
+starts. Boundaries are called by the numbers of the edges, so that nodes of every arc are known even where edges share a
+name; :func:`finished` gives them their names.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised, sound_by_construction, swept
-from adaptmg.mesh.domains import BOX_SIDES, boundary_measures, extent, plane_measures
+from adaptmg.mesh.domains import boundary_measures, extent
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
 from adaptmg.mesh.soundness import check_mesh, with_source
-from adaptmg.problem.plane_domains import Box, Domain, Outline, Polygon, Rectangle
+from adaptmg.problem.plane_domains import Domain, Outline
 
 SizeField = Callable[[np.ndarray], np.ndarray]
 SizesAt = list[tuple[np.ndarray, np.ndarray]]
@@ -37,7 +37,7 @@ _TOO_LARGE = math.sqrt(2)
 NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 
-def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
+def netgen_mesh(domain: Outline, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
                 grading: float, rounds: int) -> MeshArrays:
     """Mesh a domain by a size field, or by one a round."""
     lower, scale = extent(domain)
@@ -47,8 +47,8 @@ def netgen_mesh(domain: Domain, sizes: SizeField | Sequence[SizeField], max_size
         options = {"maxh": max_size / scale, "grading": grading}
         # the steps that improve shapes take most of the time: here only nodes and centroids are used
         if not callable(sizes) and step < rounds:
-            options |= {"optsteps2d": 0, "optsteps3d": 0}
-        mesh = one_mesh(domain, lower, scale, {name: h / scale for name, h in side_sizes.items()}, options, at, nodes)
+            options |= {"optsteps2d": 0}
+        mesh = _one_mesh(domain, lower, scale, {name: h / scale for name, h in side_sizes.items()}, options, at, nodes)
         if step < rounds:
             places = mesh.points[mesh.elements].mean(axis=1)
             wanted = (sizes if callable(sizes) else sizes[step])(places)
@@ -100,21 +100,26 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
     return float(NODES_PER_CELL[domain.dim] * cells)
 
 
-def one_mesh(domain: Domain, lower: np.ndarray, scale: float, sides: Mapping[str, float], options: Mapping[str, float],
-             sizes: SizesAt, nodes: float) -> MeshArrays:
-    """One call of Netgen on the scaled domain: the mesh in m, checked for its area or volume only."""
+def _one_mesh(domain: Outline, lower: np.ndarray, scale: float, sides: Mapping[str, float],
+              options: Mapping[str, float], sizes: SizesAt, nodes: float) -> MeshArrays:
+    """One call of Netgen on the scaled domain: the mesh in m, checked for its area only."""
     try:
         with netgen() as worker:
-            unit = normalised(*worker("mesh_plane_or_box", domain, lower, scale, sides, options, sizes,
-                                      seconds=meshing_limit(nodes, domain.dim)))
+            unit = normalised(*worker("mesh_plane", domain, lower, scale, sides, options, sizes,
+                                      seconds=meshing_limit(nodes, 2)))
     except ValueError as error:
         raise netgen_error(domain, error) from error
-    mesh = replace(unit, points=lower + scale * unit.points, bodies=("body",))
-    mesh = onto_outline(domain, mesh) if isinstance(domain, Outline) else _onto_planes(domain, mesh, scale)
-    volume = boundary_measures(domain)[0] if isinstance(domain, Box) else _straight_area(domain, mesh)
-    if not abs(mesh.volumes.sum() - volume) <= 1e-9 * volume:
-        raise ValueError(f"Netgen meshed {mesh.volumes.sum():.9g} instead of {volume:.9g} of {domain!r}; "
-                          "change the sizes a little")
+    mesh = _onto_outline(domain, replace(unit, points=lower + scale * unit.points, bodies=("body",)))
+    # the exact area, less what chords cut off arcs
+    area = domain.area
+    for i in domain.arcs:
+        arc = domain.arc(i)
+        a, b = mesh.points[mesh.boundary_facets(str(i))].transpose(1, 0, 2) - np.array(arc.center)
+        turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
+        area -= 0.5 * arc.radius**2 * float(np.sum(turns - np.sin(turns)))
+    if not abs(mesh.volumes.sum() - area) <= 1e-9 * area:
+        raise ValueError(f"Netgen meshed {mesh.volumes.sum():.9g} instead of {area:.9g} of {domain!r}; "
+                         "change the sizes a little")
     return mesh
 
 
@@ -123,41 +128,6 @@ def netgen_error(domain: Domain, why: Exception) -> ValueError:
     if isinstance(why, NetgenUnfinished):
         return NetgenUnfinished(f"Netgen could not mesh {domain!r}: {why}")
     return ValueError(f"Netgen could not mesh {domain!r} ({why}); change the sizes a little or take a smaller grading")
-
-
-def _onto_planes(domain: Domain, mesh: MeshArrays, scale: float) -> MeshArrays:
-    """Nodes of sides normal to an axis exactly on them, boundaries in the order of the domain."""
-    points = mesh.points.copy()
-    for name, axis, value in _planes(domain):
-        nodes = mesh.boundary_nodes(name)
-        nodes = nodes[np.abs(points[nodes, axis] - value) < 1e-9 * scale]
-        points[nodes, axis] = value
-    boundaries = tuple(dict.fromkeys(domain.boundaries))
-    labels = np.array([boundaries.index(name) for name in mesh.boundaries])[mesh.facet_labels]
-    return replace(mesh, points=points, facet_labels=labels, boundaries=boundaries)
-
-
-def _planes(domain: Domain) -> list[tuple[str, int, float]]:
-    """Sides normal to an axis: name, axis, coordinate in m. Scaling moves them by a rounding error."""
-    if isinstance(domain, Box):
-        return [(name, axis, float((domain.lower, domain.upper)[end][axis]))
-                for name, (axis, end) in BOX_SIDES.items()]
-    vertices = domain.polygon.vertices
-    return [(name, axis, a[axis]) for name, a, b in zip(domain.boundaries, vertices, vertices[1:] + vertices[:1],
-                                                        strict=True) for axis in (0, 1) if a[axis] == b[axis]]
-
-
-def _straight_area(domain: Rectangle | Polygon | Outline, mesh: MeshArrays) -> float:
-    """Area in m^2 that a mesh of the domain must have: the exact one, less what chords cut off arcs."""
-    area, _ = plane_measures(domain)
-    if not isinstance(domain, Outline):
-        return area
-    for i in domain.arcs:
-        arc = domain.arc(i)
-        a, b = mesh.points[mesh.boundary_facets(str(i))].transpose(1, 0, 2) - np.array(arc.center)
-        turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
-        area -= 0.5 * arc.radius**2 * float(np.sum(turns - np.sin(turns)))
-    return area
 
 
 def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarray]:
@@ -213,7 +183,7 @@ def unreachable(domain: Domain, large: np.ndarray) -> ValueError:
                       f"{domain!r} are still too large; does it tend to zero at a point?")
 
 
-def onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
+def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     """The mesh with its boundary nodes exactly on the outline, without source."""
     points = mesh.points.copy()
     vertices = np.array(domain.vertices)
@@ -232,12 +202,9 @@ def onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     return replace(mesh, points=points, source=None)
 
 
-def finished(domain: Domain, mesh: MeshArrays) -> MeshArrays:
+def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     """The mesh with the names of the domain's boundaries in place of edge numbers, checked, with source."""
-    mesh = swept(check_mesh(mesh))
-    if not isinstance(domain, Outline):
-        return mesh
-    names = tuple(dict.fromkeys(domain.boundaries))
+    mesh, names = swept(check_mesh(mesh)), tuple(dict.fromkeys(domain.boundaries))
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
     # other names leave a mesh sound
     return sound_by_construction(replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None))

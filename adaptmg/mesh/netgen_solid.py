@@ -18,14 +18,14 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, facet_table, normalised, swept, trusted
-from adaptmg.mesh.domains import extent, require_simple
+from adaptmg.mesh.domains import extent
 from adaptmg.mesh.drafted import drafted
 from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, meshing_limit, netgen
 from adaptmg.mesh.netgen_plane import (
@@ -46,11 +46,8 @@ from adaptmg.problem.solid_domains import (
     Ball,
     Combination,
     Cylinder,
-    Extrusion,
     Moved,
-    Revolution,
     SolidDomain,
-    outline_of,
 )
 
 _LOG = logging.getLogger(__name__)
@@ -192,22 +189,10 @@ class Shape:
 def built_shape(worker: Netgen, domain: SolidDomain | Box) -> Shape:
     """Build the OCC solid of a domain."""
     lower, scale = extent(domain)
-    for profile in _profiles(domain):
-        require_simple(outline_of(profile))
     try:
         return Shape(*worker("build_shape", domain, lower, scale, seconds=LIMIT_S[3]), lower, scale)
     except NetgenFails as error:
         raise ValueError(f"OCC could not build {domain!r} ({error}); change its lengths a little") from error
-
-
-def _profiles(domain: SolidDomain | Box) -> Iterator:
-    """The plane profiles that a solid is made of."""
-    if isinstance(domain, Combination):
-        yield from (*_profiles(domain.a), *_profiles(domain.b))
-    elif isinstance(domain, Moved):
-        yield from _profiles(domain.solid)
-    elif isinstance(domain, Extrusion | Revolution):
-        yield domain.polygon
 
 
 def curved_nodes(domain: Domain, size: float, curvature: float) -> float:

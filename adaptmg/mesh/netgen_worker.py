@@ -24,7 +24,7 @@ from netgen.geom2d import SplineGeometry
 from netgen.occ import Dir, Face, OCCGeometry, Pnt, Solid, TopoDS_Shape, Vec, X, Y, Z
 
 from adaptmg._machine import limit_memory
-from adaptmg.problem.plane_domains import Box, Outline, Polygon, Rectangle
+from adaptmg.problem.plane_domains import Box, Outline
 from adaptmg.problem.solid_domains import (
     Ball,
     Combination,
@@ -36,7 +36,6 @@ from adaptmg.problem.solid_domains import (
     Profile,
     Revolution,
     SolidDomain,
-    outline_of,
 )
 
 Tables = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]]
@@ -108,11 +107,10 @@ def _indices(what: str, index: np.ndarray, size: int) -> np.ndarray:
     return index
 
 
-def mesh_plane_or_box(domain: Rectangle | Polygon | Outline | Box, lower: np.ndarray, scale: float,
-                      sides: Mapping[str, float], options: Mapping[str, float], sizes: Sizes) -> Tables:
+def mesh_plane(domain: Outline, lower: np.ndarray, scale: float, sides: Mapping[str, float],
+               options: Mapping[str, float], sizes: Sizes) -> Tables:
     """Mesh a domain moved by ``-lower`` and divided by ``scale``; see :func:`_generated`."""
-    geometry = (_box_geometry if isinstance(domain, Box) else _spline_geometry)(domain, lower, scale, sides)
-    return _generated(geometry, options, sizes)
+    return _generated(_spline_geometry(domain, lower, scale, sides), options, sizes)
 
 
 def mesh_shape(face_sizes: Mapping[int, float], options: Mapping[str, float], sizes: Sizes) -> Tables:
@@ -149,31 +147,16 @@ def bisect(marked: np.ndarray) -> Tables:
     return tables(_Held.mesh.ngmesh)
 
 
-def _box_geometry(domain: Box, lower: np.ndarray, scale: float, sides: Mapping[str, float]) -> OCCGeometry:
-    solid = occ.Box(Pnt(0, 0, 0), Pnt(*((domain.upper - lower) / scale)))
-    for k, name in enumerate(_SIDES):
-        face = (solid.faces.Min, solid.faces.Max)[k % 2]((X, Y, Z)[k // 2])
-        face.name = name
-        if name in sides:
-            face.maxh = sides[name]
-    return OCCGeometry(solid)
-
-
-def _spline_geometry(domain: Rectangle | Polygon | Outline, lower: np.ndarray, scale: float,
-                     sides: Mapping[str, float]) -> SplineGeometry:
-    r"""Netgen's geometry of a plane domain; the edges of an outline are called by their numbers. An arc becomes
-    rational quadratic splines, which are exact circles: the middle control point is the meeting point of the tangents,
-    at the distance :math:`r / \cos(\theta / 2)` from the centre."""
+def _spline_geometry(domain: Outline, lower: np.ndarray, scale: float, sides: Mapping[str, float]) -> SplineGeometry:
+    r"""Netgen's geometry of a plane domain; its edges are called by their numbers. An arc becomes rational quadratic
+    splines, which are exact circles: the middle control point is the meeting point of the tangents, at the distance
+    :math:`r / \cos(\theta / 2)` from the centre."""
     geometry = SplineGeometry()
-    curved = isinstance(domain, Outline)
-    vertices = domain.vertices if curved else domain.polygon.vertices
-    corners = [geometry.AppendPoint(*place) for place in (np.array(vertices) - lower) / scale]
-    following = domain.following if curved else np.roll(np.arange(len(corners)), -1)
+    corners = [geometry.AppendPoint(*place) for place in (np.array(domain.vertices) - lower) / scale]
     for i, name in enumerate(domain.boundaries):
-        options = {"leftdomain": 1, "rightdomain": 0, "bc": str(i) if curved else name,
-                   "maxh": sides.get(name, _NO_LIMIT)}
-        first, last = corners[i], corners[following[i]]
-        arc = domain.arc(i) if curved else None
+        options = {"leftdomain": 1, "rightdomain": 0, "bc": str(i), "maxh": sides.get(name, _NO_LIMIT)}
+        first, last = corners[i], corners[domain.following[i]]
+        arc = domain.arc(i)
         if arc is None:
             geometry.Append(["line", first, last], **options)
             continue
@@ -294,11 +277,11 @@ def _name_ends(shape: TopoDS_Shape, names: tuple[str, str], key: Callable[[Face]
 
 def _profile_face(profile: Profile, place: Callable[[np.ndarray], Pnt]) -> Face:
     """A plane face whose edges are named; ``place`` puts points of the profile into space."""
-    outline = outline_of(profile)
+    outline = profile.outline
     vertices = [np.array(v) for v in outline.vertices]
     edges, middles = [], []
     for i, (a, b) in enumerate(zip(vertices, vertices[1:] + vertices[:1], strict=True)):
-        arc = outline.arc(i) if isinstance(outline, Outline) else None
+        arc = outline.arc(i)
         middle = 0.5 * (a + b) if arc is None else arc.at(np.array([0.5]))[0]
         edges.append(occ.Segment(place(a), place(b)) if arc is None
                      else occ.ArcOfCircle(place(a), place(middle), place(b)))

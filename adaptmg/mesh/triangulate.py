@@ -26,9 +26,8 @@ from adaptmg.geometry.predicates import in_circle, turn
 from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.improve import improved_triangles, opposite, replace_neighbour, swap_edge
 from adaptmg.mesh.netgen_plane import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
-from adaptmg.problem.plane_domains import Arc, Domain, Outline, Polygon, Rectangle
-
-Plane = Rectangle | Polygon | Outline
+from adaptmg.problem.plane_domains import Domain, Outline
+from adaptmg.problem.plane_edges import Arc
 
 # intervals of an edge at first; how often edges that cross are halved
 _INTERVALS, _CUTS = 8, 20
@@ -58,23 +57,21 @@ class Untriangulated(ValueError):
     """A domain whose boundary the triangulation does not hold."""
 
 
-def triangulated(domain: Plane, field: Callable[[np.ndarray], np.ndarray], growth: float | None = None) -> MeshArrays:
+def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], growth: float | None = None) -> MeshArrays:
     """A sound mesh of a plane domain whose edges are about as long as the field (n, 2) -> (n,) says. With ``growth``
-    sizes grow by at most so much per distance, and dips between nodes are looked for. The boundaries of an outline are
-    called by the numbers of its edges. ValueError for too many nodes."""
-    outline = domain if isinstance(domain, Outline) else Outline(vertices=domain.polygon.vertices,
-                                                                 boundaries=domain.boundaries)
-    edges = [outline.edge(i) for i in range(len(outline.vertices))]
-    field = _beside_short_edges(edges, outline.lengths, field)
+    sizes grow by at most so much per distance, and dips between nodes are looked for. Boundaries are called by the
+    numbers of the edges. ValueError for too many nodes."""
+    edges = [domain.edge(i) for i in range(len(domain.vertices))]
+    field = _beside_short_edges(edges, domain.lengths, field)
     middle, scale = 0.5 * (domain.lower + domain.upper), 2.0**math.frexp((domain.upper - domain.lower).max())[1]
-    fractions = _spaced(domain, edges, outline.lengths, field, growth)
+    fractions = _spaced(domain, edges, domain.lengths, field, growth)
     for _ in range(_CUTS):
         places = np.concatenate([edge.at(t) for edge, t in zip(edges, fractions, strict=True)])
         counts = np.array([len(t) for t in fractions])
         first = np.cumsum(counts) - counts
-        places[first] = outline.vertices
+        places[first] = domain.vertices
         following = np.arange(1, len(places) + 1)
-        following[first + counts - 1] = first[outline.following]
+        following[first + counts - 1] = first[domain.following]
         refuse_too_many(len(places), domain)
         shortest, step = np.linalg.norm(places[following] - places, axis=1).min(), np.spacing(np.abs(places).max())
         if not step < _RESOLVED * shortest:
@@ -200,14 +197,11 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
             return points[:n], elements[:n_elements]
 
 
-def _mesh(domain: Plane, points: np.ndarray, elements: np.ndarray, following: np.ndarray, edge: np.ndarray
+def _mesh(domain: Outline, points: np.ndarray, elements: np.ndarray, following: np.ndarray, edge: np.ndarray
           ) -> MeshArrays:
     """The mesh, its boundary from each node to the following one."""
-    names = tuple(str(i) for i in range(len(domain.boundaries)))
-    if not isinstance(domain, Outline):
-        names = tuple(dict.fromkeys(domain.boundaries))
-        edge = np.array([names.index(name) for name in domain.boundaries])[edge]
-    mesh = MeshArrays(points, elements, np.column_stack([np.arange(len(following)), following]), edge, names)
+    mesh = MeshArrays(points, elements, np.column_stack([np.arange(len(following)), following]), edge,
+                      tuple(map(str, range(len(domain.boundaries)))))
     (x, y), (u, v) = (points[:len(following)] - points[0]).T, (points[following] - points[0]).T
     area = 0.5 * float(np.sum(x * v - y * u))
     if not (mesh.volumes.min() > 0 and abs(mesh.volumes.sum() - area) <= 1e-9 * area):

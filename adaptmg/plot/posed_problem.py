@@ -24,7 +24,6 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.loads import load_density
 from adaptmg.discrete.supports import supported_nodes
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.domains import in_edges
 from adaptmg.plot import style
 from adaptmg.plot.surfaces import Lines, Surface, finish_axes, normals_of, sharp_edges, view_of, viewer
 from adaptmg.problem import (
@@ -38,7 +37,6 @@ from adaptmg.problem import (
     Frictionless,
     InitialStrain,
     Law,
-    Outline,
     PointSpring,
     Pressure,
     Spring,
@@ -160,11 +158,8 @@ def _outlines(domain: Domain) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Of each body of a plane domain the edges (n, 2, 2), m, the body on their left, and their boundaries (n,)."""
     result = {}
     for body, part in (domain.parts if isinstance(domain, Assembly) else {domain.bodies[0]: domain}).items():
-        own = in_edges(part)
-        if not isinstance(own, Outline):
-            own = Outline(vertices=own.polygon.vertices, boundaries=own.polygon.boundaries)
-        corners, edge, following = own.chords()
-        result[body] = np.stack([corners, corners[following]], axis=1), np.array(own.boundaries)[edge]
+        corners, edge, following = part.outline.chords()
+        result[body] = np.stack([corners, corners[following]], axis=1), np.array(part.outline.boundaries)[edge]
     return result
 
 

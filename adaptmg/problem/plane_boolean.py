@@ -7,16 +7,15 @@ Where pieces of both coincide, one stays if the bodies lie on the same side of i
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import chain, pairwise
 
 import numpy as np
 
-from adaptmg.problem.plane_domains import Arc, Outline, Segment
+from adaptmg.problem.plane_domains import Outline
+from adaptmg.problem.plane_edges import Arc, Segment, meetings
 
 _ROUND = 1e-12  # of the extent: points nearer to each other are one
-_PARALLEL = 1e-12
 
 
 @dataclass(frozen=True)
@@ -39,9 +38,9 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     tol = _ROUND * float(max(np.ptp(outline.vertices, axis=0).max() for outline in (a, b)))
     points: list[np.ndarray] = []
     edges = [[outline.edge(i) for i in range(len(outline.vertices))] for outline in (a, b)]
-    meetings = [[_meetings(e, f, tol) for f in edges[1]] for e in edges[0]]
-    of_a = _pieces(a, edges[0], [list(chain(*row)) for row in meetings], points, tol)
-    of_b = _pieces(b, edges[1], [list(chain(*column)) for column in zip(*meetings, strict=True)], points, tol)
+    met = [[meetings(e, f, tol) for f in edges[1]] for e in edges[0]]
+    of_a = _pieces(a, edges[0], [list(chain(*row)) for row in met], points, tol)
+    of_b = _pieces(b, edges[1], [list(chain(*column)) for column in zip(*met, strict=True)], points, tol)
     kept = []
     for piece in of_a:
         twins = [other for other in of_b if {piece.start, piece.end} == {other.start, other.end}
@@ -49,49 +48,13 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
         if twins:
             if (twins[0].start == piece.start) != (what == "Cut"):
                 kept.append(piece)
-        elif (_winding(b, piece.middle) == 1) == (what == "Common"):
+        elif (b.winding(piece.middle) == 1) == (what == "Common"):
             kept.append(piece)
         of_b = [other for other in of_b if other not in twins]
     for piece in of_b:
-        if (_winding(a, piece.middle) == 1) == (what != "Fuse"):
+        if (a.winding(piece.middle) == 1) == (what != "Fuse"):
             kept.append(piece.turned if what == "Cut" else piece)
     return _chained(what, kept, points)
-
-
-def _meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]:
-    """Points where two edges cross or touch, and the ends of one that lie on the other."""
-    found = [*e.at(np.array([0.0, 1.0])), *f.at(np.array([0.0, 1.0]))]
-    if isinstance(e, Arc) and isinstance(f, Arc):
-        found += _circles(e, f, tol)
-    elif isinstance(e, Arc) or isinstance(f, Arc):
-        arc, line = (e, f) if isinstance(e, Arc) else (f, e)
-        along = (line.end - line.start) / np.linalg.norm(line.end - line.start)
-        centre = np.array(arc.center)
-        foot = line.start + along * ((centre - line.start) @ along)
-        found += _both_sides(foot, along, arc.radius, float(np.linalg.norm(foot - centre)), tol)
-    else:
-        u, v, w = e.end - e.start, f.end - f.start, f.start - e.start
-        cross = u[0] * v[1] - u[1] * v[0]
-        if abs(cross) > _PARALLEL * np.linalg.norm(u) * np.linalg.norm(v):
-            found.append(e.start + u * ((w[0] * v[1] - w[1] * v[0]) / cross))
-    return [p for p in found if e.distance(p[None])[0] <= 2 * tol and f.distance(p[None])[0] <= 2 * tol]
-
-
-def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
-    centre, apart = np.array(e.center), np.array(f.center) - np.array(e.center)
-    distance = float(np.linalg.norm(apart))
-    if distance <= tol:
-        return []
-    toward = apart / distance
-    along = (distance**2 + e.radius**2 - f.radius**2) / (2 * distance)
-    return _both_sides(centre + along * toward, np.array([-toward[1], toward[0]]), e.radius, abs(along), tol)
-
-
-def _both_sides(foot: np.ndarray, along: np.ndarray, radius: float, distance: float, tol: float) -> list[np.ndarray]:
-    if distance > radius - tol:
-        return [foot] if distance <= radius + tol else []
-    half = math.sqrt((radius - distance) * (radius + distance))
-    return [foot - half * along, foot + half * along]
 
 
 def _pieces(outline: Outline, edges: list[Segment | Arc], cuts: list[list[np.ndarray]], points: list[np.ndarray],
@@ -119,18 +82,6 @@ def _pieces(outline: Outline, edges: list[Segment | Arc], cuts: list[list[np.nda
                 middle = np.array(centre) + off * (edge.radius / np.linalg.norm(off))
             result.append(_Piece(start, end, outline.boundaries[i], centre, middle))
     return result
-
-
-def _winding(outline: Outline, x: np.ndarray) -> int:
-    a = np.array(outline.vertices) - x
-    b = a[outline.following]
-    turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
-    for i in outline.arcs:
-        arc, along = outline.arc(i), b[i] - a[i]
-        between = (along[0] * -a[i, 1] - along[1] * -a[i, 0]) * arc.angle < 0
-        if between and np.linalg.norm(x - np.array(arc.center)) < arc.radius:
-            turns[i] += math.copysign(2 * math.pi, arc.angle)
-    return round(float(turns.sum()) / (2 * math.pi))
 
 
 def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outline:

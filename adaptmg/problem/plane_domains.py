@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import ClassVar
@@ -18,6 +18,7 @@ import numpy as np
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
+from adaptmg.problem.plane_edges import Arc, Segment, check_simple
 
 _ROUND = 1e-9  # radii at the two ends of an arc may differ by this much of the radius
 _CHORD = math.radians(3.0)
@@ -99,6 +100,11 @@ class Rectangle(Domain):
         (x0, y0), (x1, y1) = self.lower, self.upper
         return Polygon(vertices=((x0, y0), (x1, y0), (x1, y1), (x0, y1)), boundaries=self.boundaries)
 
+    @property
+    def outline(self) -> Outline:
+        """The same as an outline."""
+        return self.polygon.outline
+
 
 @dataclass(frozen=True, kw_only=True)
 class Box(Domain):
@@ -156,33 +162,6 @@ def _area(vertices: tuple[tuple[float, float], ...], bulges: float = 0.0, hole: 
     return area
 
 
-def with_vertex(domain: Rectangle | Polygon | Outline, point: tuple[float, ...]) -> Rectangle | Polygon | Outline:
-    """The domain with a vertex at a point of a straight edge; itself where the point lies elsewhere."""
-    shape = domain.polygon if isinstance(domain, Rectangle) else domain
-    arcs = shape.arcs if isinstance(shape, Outline) else {}
-    start, near = np.array(shape.vertices), 1e-9 * float((domain.upper - domain.lower).max())
-    end = start[shape.following] if isinstance(shape, Outline) else np.roll(start, -1, axis=0)
-    away = np.array([np.inf if i in arcs else distance_to_segments(np.array([point]), a, b)[0]
-                     for i, (a, b) in enumerate(zip(start, end, strict=True))])
-    i = int(np.argmin(away))
-    if away[i] > near or np.linalg.norm(start - point, axis=1).min() <= near:
-        return domain
-    result = {"vertices": (*shape.vertices[:i + 1], point, *shape.vertices[i + 1:]),
-              "boundaries": (*shape.boundaries[:i + 1], *shape.boundaries[i:])}
-    if isinstance(shape, Outline):
-        result |= {"arcs": {k + (k > i): centre for k, centre in arcs.items()},
-                   "holes": tuple(k + (k > i) for k in shape.holes)}
-    return replace(shape, **result)
-
-
-def distance_to_segments(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance (n,) of points (n, 2) to one segment, or to one segment each."""
-    u = b - a
-    along = (p - a) @ u / (u @ u) if u.ndim == 1 else np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1)
-    along = np.clip(along, 0.0, 1.0)
-    return np.linalg.norm(p - a - along[:, None] * u, axis=1)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Polygon(Domain):
     """A simple polygon.
@@ -210,6 +189,12 @@ class Polygon(Domain):
     def __post_init__(self) -> None:
         _check_edges(self, 3)
         _area(self.vertices)
+        _ = self.outline
+
+    @cached_property
+    def outline(self) -> Outline:
+        """The same as an outline."""
+        return Outline(vertices=self.vertices, boundaries=self.boundaries)
 
     @property
     def polygon(self) -> Polygon:
@@ -218,68 +203,6 @@ class Polygon(Domain):
 
     def _extremes(self) -> np.ndarray:
         return np.array(self.vertices)
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A straight edge."""
-
-    start: np.ndarray  # (2,), m
-    end: np.ndarray
-
-    def at(self, fractions: np.ndarray) -> np.ndarray:
-        """Points (n, 2), m, at fractions (n,) of the length."""
-        return self.start + np.asarray(fractions, dtype=np.float64)[..., None] * (self.end - self.start)
-
-    def along(self, point: np.ndarray) -> float:
-        """The fraction of the length at which a point of the edge lies."""
-        u = self.end - self.start
-        return float((point - self.start) @ u / (u @ u))
-
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        """Distance (n,) of points (n, 2) to the edge, m."""
-        return distance_to_segments(points, self.start, self.end)
-
-
-@dataclass(frozen=True)
-class Arc:
-    """A circular arc of less than 180 degrees."""
-
-    center: tuple[float, float]  # m
-    radius: float  # m
-    start: float  # direction of the first point as seen from the centre, radians
-    angle: float  # signed angle to the last point, radians; positive is counter-clockwise, as on a convex boundary
-
-    @property
-    def length(self) -> float:
-        """m."""
-        return self.radius * abs(self.angle)
-
-    @property
-    def bulge(self) -> float:
-        """Signed area between arc and chord, m^2; positive where the arc lies outside the chord."""
-        return 0.5 * self.radius**2 * (self.angle - math.sin(self.angle))
-
-    def at(self, fractions: np.ndarray) -> np.ndarray:
-        """Points (n, 2), m, at fractions (n,) of the angle."""
-        directions = self.start + np.asarray(fractions, dtype=np.float64) * self.angle
-        return np.array(self.center) + self.radius * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
-
-    def along(self, point: np.ndarray) -> float:
-        """The fraction of the angle at which a point of the arc lies."""
-        x, y = point - np.array(self.center)
-        turn = math.atan2(y, x) - self.start - 0.5 * self.angle
-        return 0.5 + ((turn + math.pi) % (2 * math.pi) - math.pi) / self.angle
-
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        """Distance (n,) of points (n, 2) to the arc, m."""
-        offset = points - np.array(self.center)
-        middle = self.start + 0.5 * self.angle
-        along, across = (offset @ np.array(d) for d in ((math.cos(middle), math.sin(middle)),
-                                                        (-math.sin(middle), math.cos(middle))))
-        in_sector = np.abs(np.arctan2(across, along)) <= 0.5 * abs(self.angle)
-        ends = np.min([np.linalg.norm(points - end, axis=1) for end in self.at(np.array([0.0, 1.0]))], axis=0)
-        return np.where(in_sector, np.abs(np.hypot(along, across) - self.radius), ends)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,6 +253,11 @@ class Outline(Domain):
                 raise ValueError(f"arcs names edge {i}, but there are {len(self.vertices)} edges, counted from 0")
             self._check_arc(i)
         _ = self.area
+        check_simple(list(map(self.edge, range(len(self.vertices)))), self.boundaries, self.following)
+        for first, last in pairwise((*holes, len(self.vertices)) if holes else ()):
+            if self.winding(self.vertices[first], np.r_[0:first, last:len(self.vertices)]) != 1:
+                raise ValueError(f"holes: the hole from vertex {first} on lies outside the outer edge, or in another "
+                                 "hole")
 
     def __hash__(self) -> int:
         return hash((self.vertices, self.boundaries, tuple(self.arcs.items()), self.holes))
@@ -371,6 +299,18 @@ class Outline(Domain):
         """Edge i."""
         return self.arc(i) or Segment(*map(np.array, self._ends(i)))
 
+    def winding(self, x: np.ndarray | tuple[float, float], edges: np.ndarray | None = None) -> int:
+        """How often the edges, or closed loops of them, run around a point that lies on none: 1 inside."""
+        edges = np.arange(len(self.vertices)) if edges is None else edges
+        a, b = (np.array(self.vertices)[ends] - x for ends in (edges, self.following[edges]))
+        turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
+        for k, arc in enumerate(map(self.arc, edges.tolist())):
+            # between the chord and the arc
+            if (arc is not None and turns[k] * arc.angle < 0
+                    and np.linalg.norm(x - np.array(arc.center)) < arc.radius):
+                turns[k] += math.copysign(2 * math.pi, arc.angle)
+        return round(float(turns.sum()) / (2 * math.pi))
+
     @property
     def area(self) -> float:
         """Exact area, m^2."""
@@ -399,6 +339,11 @@ class Outline(Domain):
         following = np.arange(1, len(edge) + 1)
         following[np.append(first[1:], len(edge)) - 1] = first
         return np.concatenate(points), edge, following
+
+    @property
+    def outline(self) -> Outline:
+        """Itself: every plane domain offers its outline."""
+        return self
 
     @property
     def polygon(self) -> Polygon:
@@ -461,3 +406,17 @@ class Circle(Domain):
 
     def _extremes(self) -> np.ndarray:
         return np.array([[-self.radius], [self.radius]]) + self.centre
+
+
+def with_vertex(domain: Domain, point: tuple[float, ...]) -> Domain:
+    """The plane domain with a vertex at a point of a straight edge; itself where the point lies elsewhere."""
+    outline, near = domain.outline, 1e-9 * float((domain.upper - domain.lower).max())
+    away = [np.inf if i in outline.arcs else outline.edge(i).distance(np.array([point]))[0]
+            for i in range(len(outline.vertices))]
+    i = int(np.argmin(away))
+    if away[i] > near or np.linalg.norm(np.array(outline.vertices) - point, axis=1).min() <= near:
+        return domain
+    return Outline(vertices=(*outline.vertices[:i + 1], point, *outline.vertices[i + 1:]),
+                   boundaries=(*outline.boundaries[:i + 1], *outline.boundaries[i:]),
+                   arcs={k + (k > i): centre for k, centre in outline.arcs.items()},
+                   holes=tuple(k + (k > i) for k in outline.holes))

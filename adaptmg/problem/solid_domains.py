@@ -49,13 +49,6 @@ def _profile(name: str, value: object) -> Profile:
     return profile
 
 
-def outline_of(profile: Domain) -> Polygon | Outline:
-    """A plane profile with its own vertices: arcs stay arcs."""
-    if isinstance(profile, Circle | Combination):
-        return profile.outline
-    return profile if isinstance(profile, Outline) else profile.polygon
-
-
 @dataclass(frozen=True)
 class Cylinder(SolidDomain):
     """A circular cylinder; boundaries ``side``, ``bottom`` (around ``point``) and ``top``.
@@ -151,7 +144,7 @@ class Revolution(SolidDomain):
         checks.convert(self, checks.positive, "angle")
         if not self.angle <= 360:
             raise ValueError(f"angle must be at most 360 degrees, got {self.angle!r}")
-        r = np.array(outline_of(self.polygon).vertices)[:, 0]
+        r = np.array(self.polygon.outline.vertices)[:, 0]
         if not self.polygon.lower[0] >= -_ON_AXIS * r.max():
             raise ValueError(f"polygon must lie in the half plane r >= 0, it reaches to r = {self.polygon.lower[0]:g}")
         on_axis = r <= _ON_AXIS * r.max()
@@ -165,7 +158,7 @@ class Revolution(SolidDomain):
     @property
     def boundaries(self) -> tuple[str, ...]:
         """Distinct names, in the order of the edges."""
-        outline = outline_of(self.polygon)
+        outline = self.polygon.outline
         r = np.array(outline.vertices)[:, 0]
         swept = (r > _ON_AXIS * r.max()) | (np.roll(r, -1) > _ON_AXIS * r.max())
         names = [name for name, face in zip(outline.boundaries, swept, strict=True) if face]
@@ -320,9 +313,8 @@ class Combination(SolidDomain):
             raise ValueError(f"outline: only plane domains have one, a and b of this {type(self).__name__} are solids")
         parts = []
         for part, domain in (("a", self.a), ("b", self.b)):
-            own = outline_of(domain)
-            own = own if isinstance(own, Outline) else Outline(vertices=own.vertices, boundaries=own.boundaries)
-            parts.append(replace(own, boundaries=tuple(self.renamed(part, name) for name in own.boundaries)))
+            names = tuple(self.renamed(part, name) for name in domain.outline.boundaries)
+            parts.append(replace(domain.outline, boundaries=names))
         return combined(type(self).__name__, *parts)
 
     def renamed(self, part: str, name: str) -> str:

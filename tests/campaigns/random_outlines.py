@@ -19,7 +19,6 @@ from campaign import main
 from matplotlib.path import Path
 
 import adaptmg as am
-from adaptmg.mesh.domains import check_domain
 
 __all__ = ["random_outline"]
 
@@ -91,7 +90,7 @@ def attempt(rng: np.random.Generator) -> tuple[am.Outline, str]:
     outline = am.Outline(vertices=[tuple(scale * p + offset) for p in places],
                          boundaries=tuple(f"e{i}" for i in range(len(places))),
                          arcs={i: tuple(scale * c + offset) for i, c in arcs.items()}, holes=tuple(starts[1:]))
-    check_domain(outline)
+
     if starts[1:]:
         inside = Path(outline.polygon.vertices)
         if not inside.contains_points(np.array(outline.vertices[starts[1]:])).all():

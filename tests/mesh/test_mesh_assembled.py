@@ -8,7 +8,7 @@ from refused import refused
 
 from adaptmg.mesh import MeshArrays, SizeNear, check_mesh, graded, merged, quality, sized, structured
 from adaptmg.mesh.arrays import swept
-from adaptmg.mesh.domains import distance_to_boundaries, require_simple
+from adaptmg.mesh.domains import distance_to_boundaries
 from adaptmg.problem import Assembly, Box, Outline, Rectangle
 
 UPPER = Rectangle(width=1.0, height=0.5)
@@ -75,13 +75,31 @@ class TestOutline:
 
     def test_crossing_outlines_are_refused(self):
         # the arc dips through the edge opposite
-        sickle = Outline(vertices=((0, 0), (4, 0), (4, 0.5), (0, 0.5)), boundaries=("b", "r", "t", "l"),
-                         arcs={2: (2, 4)})
-        with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 2 \('t'\) of the outline meet"):
-            require_simple(sickle)
-        with pytest.raises(ValueError, match="of the outline meet"):
-            graded(sickle, 0.5)
-        assert require_simple(RING) is None and require_simple(DISK) is None
+        with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 2 \('t'\) meet"):
+            Outline(vertices=((0, 0), (4, 0), (4, 0.5), (0, 0.5)), boundaries=("b", "r", "t", "l"), arcs={2: (2, 4)})
+        # or through a neighbour, near the vertex they share, wherever that lies
+        rng = np.random.default_rng()
+        for _ in range(20):
+            turn, part, centre = rng.uniform(0, 7), 10 ** rng.uniform(-6, -0.5), rng.uniform(-9, 9, 2)
+            first, last, tangent = (np.array([np.cos(a), np.sin(a)]) for a in (turn, turn + 1, turn + 0.5 * np.pi))
+            around = [4 * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ tangent
+                      for a in (2.0, 4.0, 0.5 * part)]
+            vertices = [centre + p for p in (first, last, *(first + p for p in around))]
+            with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 4 \('l'\) meet"):
+                Outline(vertices=vertices, boundaries=("b", "r", "t", "s", "l"), arcs={0: centre})
+
+    def test_holes_outside_the_outer_edge_are_refused(self):
+        for x in (5.0, 0.0):
+            hole = ((x + 1, 1), (x + 1, 2), (x + 2, 2), (x + 2, 1))
+            corners = (((0, 0), (4, 0), (4, 4), (0, 4)), hole)
+            if x:
+                with pytest.raises(ValueError, match="holes: the hole from vertex 4 on lies outside the outer edge"):
+                    Outline(vertices=sum(corners, ()), boundaries=("a",) * 8, holes=(4,))
+            else:
+                assert Outline(vertices=sum(corners, ()), boundaries=("a",) * 8, holes=(4,)).area == 15
+                inner = tuple((1.25 + 0.5 * (p - 1), 1.25 + 0.5 * (q - 1)) for p, q in hole)
+                with pytest.raises(ValueError, match="or in another hole"):
+                    Outline(vertices=sum((*corners, inner), ()), boundaries=("a",) * 12, holes=(4, 8))
 
 
 def test_each_body_is_meshed_apart_and_without_contact_alone():

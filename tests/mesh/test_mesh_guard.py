@@ -62,7 +62,7 @@ def test_a_mesh_that_does_not_finish_is_refused_with_the_limit(monkeypatch):
     strip = am.Rectangle(width=1, height=1e-3)
     assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
     monkeypatch.setattr(netgen_guard, "LIMIT_S", {2: 1.0, 3: 1.0})
-    with pytest.raises(ValueError, match=r"could not mesh Rectangle.*does not finish within 1 s: take smaller sizes"):
+    with pytest.raises(ValueError, match=r"could not mesh Outline.*does not finish within 1 s: take smaller sizes"):
         graded(am.Rectangle(width=1, height=1e-5), 0.2, mesher="netgen")
     monkeypatch.undo()
     assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)

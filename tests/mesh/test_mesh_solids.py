@@ -296,8 +296,6 @@ def test_bad_solids(make, error, message):
     ((OCTANT, 1, {}, 0.3, lambda x: np.full(len(x), 1e-4)), ValueError, "nodes .at most 2e"),
     ((Cut(UNIT, Box(width=3, depth=3, height=3, origin=(-1, -1, -1))), 1), ValueError, "leaves nothing"),
     ((Cut(UNIT, Box(width=0.2, depth=3, height=3, origin=(0.4, -1, -1))), 1), ValueError, "leaves 2 pieces"),
-    ((Extrusion(Polygon(vertices=((0, 0), (4, 0), (4, 4), (1, -1)), boundaries=tuple("abcd")), 1), 1), ValueError,
-     "of the polygon meet"),
 ])
 def test_bad_meshes(arguments, error, message):
     with pytest.raises(error, match=message):

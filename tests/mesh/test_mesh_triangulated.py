@@ -189,9 +189,10 @@ def test_too_many_nodes_are_refused_before_they_are_made():
 def test_netgen_meshes_what_triangulation_does_not(monkeypatch):
     asked = []
     monkeypatch.setattr(triangulate, "_CUTS", 0)
-    monkeypatch.setattr(grading, "netgen_mesh", lambda *given: asked.append(given) or am.mesh.structured(SQUARE, 4))
-    with pytest.raises(Untriangulated, match="edges of Rectangle"):
-        triangulated(SQUARE, lambda x: np.full(len(x), 0.5))
+    monkeypatch.setattr(grading, "netgen_mesh", lambda *given: asked.append(given)
+                        or replace(am.mesh.structured(SQUARE, 4), boundaries=tuple("0123")))
+    with pytest.raises(Untriangulated, match="edges of Outline"):
+        triangulated(SQUARE.outline, lambda x: np.full(len(x), 0.5))
     assert graded(SQUARE, 0.5).n_nodes == 25 and len(asked) == 1
 
 

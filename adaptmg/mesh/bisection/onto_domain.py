@@ -22,7 +22,8 @@ from adaptmg.mesh.arrays import MeshArrays, sound_by_construction
 from adaptmg.mesh.bisection.tables import with_refinement
 from adaptmg.mesh.domains import in_edges
 from adaptmg.mesh.soundness import check_mesh
-from adaptmg.problem.plane_domains import Domain, Outline, distance_to_segments
+from adaptmg.problem.plane_domains import Domain, Outline
+from adaptmg.problem.plane_edges import Arc
 from adaptmg.problem.solid_domains import Assembly, Ball, Cylinder, Extrusion, Moved, Revolution
 
 _KEPT_VOLUME = 0.25
@@ -160,7 +161,7 @@ def _curved(domain: Domain) -> tuple[str, ...]:
     if isinstance(domain, Ball):
         return ("surface",)
     if isinstance(domain, Extrusion):
-        return _curved(domain.polygon)
+        return _curved(domain.polygon.outline)
     if isinstance(domain, Revolution):
         return tuple(name for name in domain.boundaries if name in domain.polygon.boundaries)
     return ()
@@ -183,7 +184,7 @@ def on_surface(domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals:
         along = (offset @ axis)[:, None] * axis
         return np.array(domain.point) + along + _stretched(offset - along, domain.radius)
     if isinstance(domain, Extrusion):
-        plane = _on_outline(domain.polygon, name, a[:, :2], b[:, :2], normals[:, :2])
+        plane = _on_outline(domain.polygon.outline, name, a[:, :2], b[:, :2], normals[:, :2])
         return np.column_stack([plane, middle[:, 2]])
     return _on_revolution(domain, name, a, b, normals)
 
@@ -210,10 +211,8 @@ def _on_revolution(domain: Revolution, name: str, a: np.ndarray, b: np.ndarray, 
     off_axis = radius > _ON_AXIS * float(profile.upper[0])
     direction = middle[:, :2] / np.where(off_axis, radius, 1.0)[:, None]
     flat_a, flat_b = (np.column_stack([np.hypot(x[:, 0], x[:, 1]), x[:, 2]]) for x in (a, b))
-    flat = 0.5 * (flat_a + flat_b)
-    if isinstance(profile, Outline):
-        outward = np.column_stack([(normals[:, :2] * direction).sum(axis=1), normals[:, 2]])
-        flat = _on_outline(profile, name, flat_a, flat_b, outward)
+    outward = np.column_stack([(normals[:, :2] * direction).sum(axis=1), normals[:, 2]])
+    flat = _on_outline(profile.outline, name, flat_a, flat_b, outward)
     result = np.column_stack([flat[:, :1] * direction, flat[:, 1]])
     # faces normal to the axis are plane
     turned = np.hypot(normals[:, 0], normals[:, 1]) > _PLANE * np.linalg.norm(normals, axis=1)
@@ -225,20 +224,15 @@ def _on_outline(outline: Outline, name: str, a: np.ndarray, b: np.ndarray, norma
     middle = 0.5 * (a + b)
     length = np.linalg.norm(b - a, axis=1)
     result, best = middle.copy(), np.full(len(a), np.inf)
-    vertices = np.array(outline.vertices)
-    for i in (i for i, own in enumerate(outline.boundaries) if own == name):
-        arc = outline.arc(i)
-        if arc is None:
-            first, edge = vertices[i], vertices[outline.following[i]] - vertices[i]
-            away = np.maximum(*(distance_to_segments(x, first, first + edge) for x in (a, b)))
-            facing = normals @ np.array([edge[1], -edge[0]])
-            place = middle
+    for edge in (outline.edge(i) for i, own in enumerate(outline.boundaries) if own == name):
+        if isinstance(edge, Arc):
+            offset = middle - np.array(edge.center)
+            facing = math.copysign(1.0, edge.angle) * (normals * offset).sum(axis=1)
+            place = np.array(edge.center) + _stretched(offset, edge.radius)
         else:
-            offset = middle - np.array(arc.center)
-            away = np.maximum(arc.distance(a), arc.distance(b))
-            facing = math.copysign(1.0, arc.angle) * (normals * offset).sum(axis=1)
-            place = np.array(arc.center) + _stretched(offset, arc.radius)
-        away = away + np.where(facing > 0, 0.0, _AVERTED * length)
+            along, place = edge.end - edge.start, middle
+            facing = normals @ np.array([along[1], -along[0]])
+        away = np.maximum(edge.distance(a), edge.distance(b)) + np.where(facing > 0, 0.0, _AVERTED * length)
         nearer = (away < best) & (away <= _NEAR * length)
         best = np.where(nearer, away, best)
         result = np.where(nearer[:, None], place, result)
