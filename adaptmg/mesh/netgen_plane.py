@@ -12,6 +12,7 @@ name; :func:`finished` gives them their names.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -33,6 +34,8 @@ SizesAt = list[tuple[np.ndarray, np.ndarray]]
 MAX_BISECTIONS = 30
 # an element is bisected when its size is this many times the field: halving then leaves it no smaller than 1 / sqrt(2)
 _TOO_LARGE = math.sqrt(2)
+# area over the square of the longest edge, below which a triangle is flat: 1 degree
+_FLAT = 0.5 * math.tan(math.radians(1.0))
 #: nodes over volume / h^dim
 NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
@@ -205,6 +208,9 @@ def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
 def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     """The mesh with the names of the domain's boundaries in place of edge numbers, checked, with source."""
     mesh, names = swept(check_mesh(mesh)), tuple(dict.fromkeys(domain.boundaries))
+    if (flat := float((mesh.volumes / mesh.element_sizes**2).min())) < _FLAT:
+        warnings.warn(f"triangles are up to {0.5 / flat:.0f} times as long as high: {domain!r} is thin or has a sharp "
+                      "corner; take smaller sizes (they are in m) there", UserWarning, stacklevel=2)
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
     # other names leave a mesh sound
     return sound_by_construction(replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None))

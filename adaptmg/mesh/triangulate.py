@@ -1,6 +1,7 @@
 r"""triangulated: plane domains meshed by a size field, without Netgen.
 
-Nodes are laid along the edges, the same part of :math:`\int ds / h` apart; h is lowered around short edges. Put one by
+Nodes are laid along the edges, the same part of :math:`\int ds / h` apart; h is lowered around short edges, and where
+the domain is thinner than edges are long: one good element fits across down to h / 64. Put one by
 one into the two triangles of a box around the domain, with swaps of edges (C. L. Lawson, 1977), they give a Delaunay
 triangulation. Where it lacks an edge of the boundary, the triangles that this edge crosses are replaced (M. V. Anglada,
 1997). Chords of arcs that cross other edges are halved, and all is done again; triangles outside are dropped. Inside,
@@ -16,7 +17,6 @@ check.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -45,8 +45,9 @@ _DIP = 0.6
 _COARSE = 1.4
 # an edge is short below this part of the size there; growth of sizes around it
 _SHORT, _GROWTH = 0.7, 0.5
-# area over the square of the longest edge, below which a triangle is flat: 1 degree
-_FLAT = 0.5 * math.tan(math.radians(1.0))
+# a part is thin where its height is below this part of an edge; the size there over the height; the size over it at
+# most; how often nodes are laid
+_THIN, _ACROSS, _DEEPEST, _PASSES = 0.35, 1.4, 64.0, 8
 # digits of coordinates that the shortest edge of the boundary must leave
 _RESOLVED = 1e-4
 # rounds of improvement
@@ -59,11 +60,30 @@ class Untriangulated(ValueError):
 
 def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], growth: float | None = None) -> MeshArrays:
     """A sound mesh of a plane domain whose edges are about as long as the field (n, 2) -> (n,) says. With ``growth``
-    sizes grow by at most so much per distance, and dips between nodes are looked for. Boundaries are called by the
-    numbers of the edges. ValueError for too many nodes."""
+    sizes grow by at most so much per distance, and dips between nodes are looked for. The boundaries are called by
+    the numbers of the edges. ValueError for too many nodes."""
     edges = [domain.edge(i) for i in range(len(domain.vertices))]
     field = _beside_short_edges(edges, domain.lengths, field)
     middle, scale = 0.5 * (domain.lower + domain.upper), 2.0**math.frexp((domain.upper - domain.lower).max())[1]
+    least = field
+    for _ in range(_PASSES):
+        places, counts, following, elements, across = _laid(domain, edges, field, growth, middle, scale)
+        feet, sizes = _thin_parts(places, elements, across)
+        thin = sizes > least(feet) / _DEEPEST
+        if not thin.any():
+            break
+        field = _beside_thin_parts(field, feet[thin], sizes[thin])
+    points, elements = _filled(domain, (places - middle) / scale, elements, across,
+                               lambda x: field(middle + scale * x) / scale, growth)
+    points, elements = improved_triangles(points, elements, np.arange(len(points)) < len(places), _ROUNDS)
+    # the boundary bit for bit
+    points = np.concatenate([places, middle + scale * points[len(places):]])
+    return _mesh(domain, points, elements, following, np.repeat(np.arange(len(edges)), counts))
+
+
+def _laid(domain: Outline, edges: list, field: Callable[[np.ndarray], np.ndarray], growth: float | None,
+          middle: np.ndarray, scale: float) -> tuple[np.ndarray, ...]:
+    """Nodes along the edges, their number on each, the one after each; triangles between them and their neighbours."""
     fractions = _spaced(domain, edges, domain.lengths, field, growth)
     for _ in range(_CUTS):
         places = np.concatenate([edge.at(t) for edge, t in zip(edges, fractions, strict=True)])
@@ -79,18 +99,37 @@ def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], gro
                              f"{shortest:.1g} m long; move it nearer to the origin, or take larger sizes")
         elements, across, found = _of_boundary((places - middle) / scale, following)
         if found.all():
-            break
+            return places, counts, following, elements, across
         for i, (begin, n) in enumerate(zip(first, counts, strict=True)):
             t = fractions[i]
             fractions[i] = np.sort(np.append(t, 0.5 * (t + np.append(t[1:], 1.0))[~found[begin:begin + n]]))
-    else:
-        raise Untriangulated(f"edges of {domain!r} are missing")
-    points, elements = _filled(domain, (places - middle) / scale, elements, across,
-                               lambda x: field(middle + scale * x) / scale, growth)
-    points, elements = improved_triangles(points, elements, np.arange(len(points)) < len(places), _ROUNDS)
-    # the boundary bit for bit
-    points = np.concatenate([places, middle + scale * points[len(places):]])
-    return _mesh(domain, points, elements, following, np.repeat(np.arange(len(edges)), counts))
+    raise Untriangulated(f"edges of {domain!r} are missing")
+
+
+def _thin_parts(places: np.ndarray, elements: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where nodes lie across the domain from edges far longer than it is thick: their feet there, and fitting sizes."""
+    e, k = np.nonzero(across < 0)
+    a, b, c = (places[elements[e, (k + i) % 3]] for i in (1, 2, 0))
+    along, up = b - a, c - a
+    square = (along * along).sum(axis=1)
+    part = (along * up).sum(axis=1) / square
+    height = (along[:, 0] * up[:, 1] - along[:, 1] * up[:, 0]) / np.sqrt(square)
+    thin = (part > 0) & (part < 1) & (height < _THIN * np.sqrt(square))
+    return (a + part[:, None] * along)[thin], _ACROSS * height[thin]
+
+
+def _beside_thin_parts(field: Callable[[np.ndarray], np.ndarray], feet: np.ndarray, sizes: np.ndarray
+                       ) -> Callable[[np.ndarray], np.ndarray]:
+    """The field, lowered around places to the sizes there."""
+    from scipy.spatial import cKDTree  # a first solve without it starts sooner
+
+    tree = cKDTree(feet)
+
+    def lowered(x: np.ndarray) -> np.ndarray:
+        away, nearest = tree.query(x)
+        return np.minimum(field(x), sizes[nearest] + _GROWTH * away)
+
+    return lowered
 
 
 def _beside_short_edges(edges: list, lengths: tuple[float, ...], field: Callable[[np.ndarray], np.ndarray]
@@ -206,9 +245,6 @@ def _mesh(domain: Outline, points: np.ndarray, elements: np.ndarray, following: 
     area = 0.5 * float(np.sum(x * v - y * u))
     if not (mesh.volumes.min() > 0 and abs(mesh.volumes.sum() - area) <= 1e-9 * area):
         raise Untriangulated(f"triangles of {domain!r} are turned over")
-    if (flat := float((mesh.volumes / mesh.element_sizes**2).min())) < _FLAT:
-        warnings.warn(f"triangles are up to {0.5 / flat:.0f} times as long as high: {domain!r} is thin or has a sharp "
-                      "corner; take smaller sizes (they are in m) there", UserWarning, stacklevel=2)
     return trusted(mesh, None)
 
 

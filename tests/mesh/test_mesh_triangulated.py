@@ -142,6 +142,17 @@ def test_triangles_at_short_edges_are_not_flat():
     assert mesh.n_nodes < 2 * graded(SQUARE, 0.2).n_nodes
 
 
+@pytest.mark.parametrize("thickness", [0.1, 0.01])
+def test_one_good_triangle_fits_across_thin_parts(thickness):
+    x, y, turn = np.random.default_rng().uniform(-5, 5, 3)
+    arm = polygon(*((3 * np.cos(turn) * a - np.sin(turn) * b + x, 3 * np.sin(turn) * a + np.cos(turn) * b + y)
+                    for a, b in ((0, 0), (1, 0), (1, thickness), (0, thickness))))
+    for domain in (am.Cut(am.Circle((x, y), 1, "out"), am.Circle((x, y), 1 - thickness, "in")), arm):
+        for size in (0.5, 0.1):
+            mesh = graded(domain, size)
+            assert quality(mesh).min_angle > 15 and mesh.n_nodes < 30 / thickness + 200
+
+
 def test_flat_triangles_are_reported_and_coordinates_too_far_away_refused():
     for name in ("needle", "strip"):
         with pytest.warns(UserWarning, match=r"triangles are up to \d+ times as long as high: .* is thin"):
