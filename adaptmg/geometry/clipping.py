@@ -45,7 +45,7 @@ def common_moments(mu, k, pieces, levels, moments):
     levels[0] = 0
     depth = 1
     covered = 0.0
-    while depth > 0:
+    while depth > 0:  # drops a piece, raises its level, or moves one more corner onto a plane
         top = depth - 1
         m = levels[top]
         if m == k:
@@ -239,7 +239,7 @@ def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states
     for c in range(MOMENTS):
         moments[c] = 0.0
     depth = _push(polygon, n, 0, 0, stack, states, 0)
-    while depth > 0:
+    while depth > 0:  # at most four pieces follow one, each with a later (blocker, edge)
         depth -= 1
         at, edge = states[depth, 0], states[depth, 1]
         if at == n_hiding:

@@ -195,7 +195,7 @@ def _lattice_rows(node, end, start, sides, strides, lowest, shares, place, axis,
             column += strides[axis[k]] if k < dim else 0
         indptr[i + 1] = count
         k = 0
-        while k < dim and place[k] == sides[k] - 1:
+        while k < dim and place[k] == sides[k] - 1:  # one axis further each time
             place[k] = 0
             k += 1
         if k < dim:

@@ -328,6 +328,7 @@ def _hiding(parts, sizes, masters, gaps, n, i, boxes, widest, tolerance, spare, 
         return count
     for step in (-1, 1):
         j = i + step
+        # j leaves the range after n steps
         while 0 <= j < n and boxes[i, 0] - widest <= boxes[j, 4] < boxes[i, 2]:
             if (sizes[j] > 0 and boxes[j, 0] < boxes[i, 2] - tolerance and boxes[j, 2] > boxes[i, 0] + tolerance
                     and boxes[j, 1] < boxes[i, 3] - tolerance and boxes[j, 3] > boxes[i, 1] + tolerance

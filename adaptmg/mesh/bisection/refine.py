@@ -147,9 +147,9 @@ def _round(cells, n_cells, corners, nodes, stamps, n_nodes, e, n_before, stamp):
     are looked at if they were touched since the round before, and e in any case. The tables are not assigned again in
     here: counting references to them would take longer than all the rest."""
     again = e
-    while e < n_cells:
+    while e < n_cells:  # an element further each time
         if e >= n_before or e == again or _touched(cells, e, corners, stamps, stamp - 1):
-            while _has_cut_edge(cells, e, corners, nodes, stamps):
+            while _has_cut_edge(cells, e, corners, nodes, stamps):  # each bisection takes up room, which is bounded
                 if n_cells == len(cells) or n_nodes == len(nodes):
                     return e, n_cells, n_nodes
                 p, n_nodes = _cut(nodes, stamps, n_nodes, cells[e, 0], cells[e, 1], stamp)
@@ -166,7 +166,7 @@ def bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge):
     stamps = np.full(len(nodes), -1, dtype=np.int32)
     # of a type: numba would compile what it calls for a literal 0 as well
     stamp, e = np.int64(0), np.int64(0)
-    while e < n_cells:
+    while e < n_cells:  # with more room at least one element further
         e, n_nodes = _cut_marked(cells, n_cells, nodes, stamps, n_nodes, e, marked,
                                  corners if every_edge else 2)
         if e < n_cells:
@@ -177,7 +177,7 @@ def bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge):
         stamp += 1
         nodes_before, n_before = n_nodes, n_cells
         e = np.int64(0)
-        while e < n_cells:
+        while e < n_cells:  # more room lets the round go on; closures are finite
             e, n_cells, n_nodes = _round(cells, n_cells, corners, nodes, stamps, n_nodes, e, n_before, stamp)
             if n_cells == len(cells):
                 cells = _roomier(cells)
