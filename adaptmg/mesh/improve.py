@@ -145,8 +145,8 @@ def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
     return trusted(replace(mesh, points=points, elements=elements, source=None), None, mesh.sound)
 
 
-#: volume that a step leaves, of that before, at least
-_KEPT = 0.1
+#: volume that a step leaves, of that before, at least; nodes after which kernels come back, so that Ctrl-C ends them
+_KEPT, _BATCH = 0.1, 100_000
 
 
 @inner_kernel
@@ -223,10 +223,10 @@ def _sum_at(points, cells, first, last, items, x, y, kept):
 
 
 @kernel
-def _move_nodes_3d(points, cells, start, items, held, kept):
+def _move_nodes_3d(points, cells, start, items, held, kept, begin, end):
     """Move each node that is not ``held`` once, in place; ``start``, ``items`` as :func:`cells_around` has them."""
     x, y, step = np.empty(3), np.empty(3), np.empty(3)
-    for i in range(len(points)):
+    for i in range(begin, end):
         if held[i]:
             continue
         first, last = start[i], start[i + 1]
@@ -248,7 +248,8 @@ def moved_tetrahedra(points: np.ndarray, elements: np.ndarray, held: np.ndarray,
     result = np.array(points)
     start, items = cells_around(elements, len(points))
     for _ in range(rounds):
-        _move_nodes_3d(result, elements, start, items, held, _KEPT)
+        for begin in range(0, len(result), _BATCH):
+            _move_nodes_3d(result, elements, start, items, held, _KEPT, begin, min(begin + _BATCH, len(result)))
     return result
 
 
@@ -327,9 +328,9 @@ def _swap(points, elements, across):
 
 
 @kernel
-def _move_nodes_2d(points, elements, start, items, held, kept):
+def _move_nodes_2d(points, elements, start, items, held, kept, begin, end):
     """Move each node that is not ``held`` once; ``start``, ``items``: 3 * element + corner of each node."""
-    for i in range(len(points)):
+    for i in range(begin, end):
         if held[i]:
             continue
         x, y = points[i, 0], points[i, 1]
@@ -384,5 +385,6 @@ def improved_triangles(points: np.ndarray, elements: np.ndarray, held: np.ndarra
             swaps.append(_swap(points, elements, across))
         if swaps[0]:
             around = cells_around(elements, len(points))
-        _move_nodes_2d(points, elements, *around, held, _KEPT)
+        for begin in range(0, len(points), _BATCH):
+            _move_nodes_2d(points, elements, *around, held, _KEPT, begin, min(begin + _BATCH, len(points)))
     return points, elements
