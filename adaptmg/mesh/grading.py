@@ -28,6 +28,7 @@ from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.bisection.onto_domain import onto_domain
 from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.bisection.tables import as_initial
+from adaptmg.mesh.delaunay import Untriangulated
 from adaptmg.mesh.domains import boundary_measures, distance_to_boundaries, in_edges
 from adaptmg.mesh.drafted import drafted
 from adaptmg.mesh.netgen_guard import netgen
@@ -48,7 +49,7 @@ from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.step import SizeFunction, step_contents, step_mesh, step_shapes
 from adaptmg.mesh.structured import body_centred, boundaries_of, merged, per_body
-from adaptmg.mesh.triangulate import Untriangulated, triangulated
+from adaptmg.mesh.triangulate import triangulated
 from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
 

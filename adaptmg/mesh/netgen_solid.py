@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, facet_table, normalised, swept, trusted
+from adaptmg.mesh.arrays import MeshArrays, Surface, facet_table, longest_edges, normalised, swept, trusted
 from adaptmg.mesh.domains import extent
 from adaptmg.mesh.drafted import drafted
 from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, meshing_limit, netgen
@@ -362,11 +362,8 @@ def check_volume(mesh: MeshArrays, volume: float) -> None:
 
 def _left_by_chords(mesh: MeshArrays) -> float:
     """Bound of the volume between curved faces and the mesh (module docstring)."""
-    a, b, c = (mesh.points[mesh.facets[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    areas = 0.5 * np.linalg.norm(normals, axis=1)
-    normals /= 2 * areas[:, None]
-    longest = np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], axis=0)
+    surface = Surface(mesh.points, mesh.facets)
+    normals, areas, longest = surface.normals, surface.measures, longest_edges(mesh.points[mesh.facets])
     edges = facet_table(mesh.facets, mesh.n_nodes)
     first, second = edges.first, edges.second
     angles = np.arccos(np.clip(np.sum(normals[first] * normals[second], axis=1), -1.0, 1.0))

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from adaptmg.mesh.arrays import MeshArrays
+
 if TYPE_CHECKING:
     import ngsolve
 
@@ -22,16 +24,8 @@ def to_ngsolve(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, fac
     import netgen.meshing
     import ngsolve
 
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] not in (2, 3):
-        raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
-    dim = points.shape[1]
-    elements = _table("elements", elements, dim + 1, len(points))
-    facets = _table("facets", facets, dim, len(points))
-    labels = _labels("facet_labels", facet_labels, len(facets), len(boundaries))
-    body = np.zeros(len(elements)) if element_body is None else element_body
-    body = _labels("element_body", body, len(elements), len(bodies))
-
+    arrays = MeshArrays(points, elements, facets, facet_labels, tuple(boundaries), element_body, tuple(bodies))
+    points, elements, dim = arrays.points, arrays.elements, arrays.dim
     mesh = netgen.meshing.Mesh(dim=dim)
     mesh.AddPoints(np.ascontiguousarray(np.pad(points, ((0, 0), (0, 3 - dim)))))
     for i in range(len(bodies if dim == 2 else boundaries)):
@@ -42,28 +36,10 @@ def to_ngsolve(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, fac
         # Netgen counts the other orientation of tetrahedra as positive
         elements = np.ascontiguousarray(elements[:, [0, 1, 3, 2]])
     mesh.AddElements(dim=dim, index=1, data=elements, base=0)
-    mesh.AddElements(dim=dim - 1, index=1, data=facets, base=0)
+    mesh.AddElements(dim=dim - 1, index=1, data=arrays.facets, base=0)
     volume, surface = ((mesh.Elements2D(), mesh.Elements1D()) if dim == 2 else (mesh.Elements3D(), mesh.Elements2D()))
-    volume.NumPy()["index"] = body + 1
-    surface.NumPy()["index"] = labels + 1
+    volume.NumPy()["index"] = arrays.element_body + 1
+    surface.NumPy()["index"] = arrays.facet_labels + 1
     for i, name in enumerate(boundaries):
         mesh.SetBCName(i, name)
     return ngsolve.Mesh(mesh)
-
-
-def _table(name: str, array: np.ndarray, width: int, n_nodes: int) -> np.ndarray:
-    table = np.ascontiguousarray(array, dtype=np.int32)
-    if table.ndim != 2 or table.shape[1] != width or len(table) == 0:
-        raise ValueError(f"{name} must have shape (n, {width}) with n > 0, got {table.shape}")
-    if table.min() < 0 or table.max() >= n_nodes:
-        raise ValueError(f"{name} must be node numbers from 0 to {n_nodes - 1}, got {table.min()} to {table.max()}")
-    return table
-
-
-def _labels(name: str, array: np.ndarray, n: int, n_names: int) -> np.ndarray:
-    labels = np.asarray(array, dtype=np.int32)
-    if labels.shape != (n,):
-        raise ValueError(f"{name} must have shape ({n},), got {labels.shape}")
-    if labels.min() < 0 or labels.max() >= n_names:
-        raise ValueError(f"{name} must index {n_names} names, got {labels.min()} to {labels.max()}")
-    return labels

@@ -1,17 +1,14 @@
 r"""triangulated: plane domains meshed by a size field, without Netgen.
 
 Nodes are laid along the edges, the same part of :math:`\int ds / h` apart; h is lowered around short edges, and where
-the domain is thinner than edges are long: one good element fits across down to h / 64. Put one by
-one into the two triangles of a box around the domain, with swaps of edges (C. L. Lawson, 1977), they give a Delaunay
-triangulation. Where it lacks an edge of the boundary, the triangles that this edge crosses are replaced (M. V. Anglada,
-1997). Chords of arcs that cross other edges are halved, and all is done again; triangles outside are dropped. Inside,
-nodes follow as long as a triangle's circumcircle is too large for the field: at its centre, or nearer to the triangle's
+the domain is thinner than edges are long: one good element fits across down to h / 64. They are triangulated
+(:mod:`adaptmg.mesh.delaunay`); chords of arcs that cross other edges are halved, and all is done again. Inside, nodes
+follow as long as a triangle's circumcircle is too large for the field: at its centre, or nearer to the triangle's
 shortest side, where they make an equilateral triangle with it, so that good triangles grow from the boundary. Swaps and
 moves end it.
 
-Triangles and their neighbours are a closed table from the first to the last step, and no step turns a triangle over.
-With the boundary among their edges they cover the domain once: positive areas with the right sum are all there is to
-check.
+No step turns a triangle over. With the boundary among their edges they cover the domain once: positive areas with the
+right sum are all there is to check.
 """
 
 from __future__ import annotations
@@ -22,9 +19,10 @@ from collections.abc import Callable
 import numpy as np
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.geometry.predicates import in_circle, turn
+from adaptmg.geometry.predicates import turn
 from adaptmg.mesh.arrays import MeshArrays, trusted
-from adaptmg.mesh.improve import improved_triangles, opposite, replace_neighbour, swap_edge
+from adaptmg.mesh.delaunay import BATCH, Untriangulated, insert, of_boundary, walk
+from adaptmg.mesh.improve import improved_triangles
 from adaptmg.mesh.netgen_plane import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.plane_edges import Arc
@@ -37,8 +35,6 @@ _MAX_EDGE = 0.4
 _RADIUS, _APART = 0.8, 0.6
 # no node comes nearer to an edge of the boundary, over its length
 _BESIDE = 0.01
-# nodes after which kernels come back to Python, so that Ctrl-C ends them
-_BATCH = 50_000
 # size at a centroid, over that interpolated there, below which there is a dip
 _DIP = 0.6
 # circumradius, over that of the right size, up to which sizes are interpolated
@@ -52,10 +48,6 @@ _THIN, _ACROSS, _DEEPEST, _PASSES = 0.35, 1.4, 64.0, 8
 _RESOLVED = 1e-4
 # rounds of improvement
 _ROUNDS = 3
-
-
-class Untriangulated(ValueError):
-    """A domain whose boundary the triangulation does not hold."""
 
 
 def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], growth: float | None = None) -> MeshArrays:
@@ -97,7 +89,7 @@ def _laid(domain: Outline, edges: list, field: Callable[[np.ndarray], np.ndarray
         if not step < _RESOLVED * shortest:
             raise ValueError(f"coordinates of {domain!r} differ by {step:.1g} m at least, edges of the mesh are "
                              f"{shortest:.1g} m long; move it nearer to the origin, or take larger sizes")
-        elements, across, found = _of_boundary((places - middle) / scale, following)
+        elements, across, found = of_boundary((places - middle) / scale, following)
         if found.all():
             return places, counts, following, elements, across
         for i, (begin, n) in enumerate(zip(first, counts, strict=True)):
@@ -176,31 +168,6 @@ def _spaced(domain: Domain, edges: list, lengths: tuple[float, ...], field: Call
     return fractions
 
 
-def _of_boundary(places: np.ndarray, following: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangles inside a boundary, their neighbours, and which edges from each node to the next are among them."""
-    n = len(places)
-    low, high = places.min(axis=0), places.max(axis=0)
-    corners = 0.5 * (low + high) + 5 * (high - low).max() * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0],
-                                                                      [-1.0, 1.0]])
-    elements, across = np.empty((2 * n + 2, 3), dtype=np.int32), np.full((2 * n + 2, 3), -1, dtype=np.int32)
-    elements[:2] = [[n, n + 1, n + 2], [n, n + 2, n + 3]]
-    across[0, 1], across[1, 2] = 1, 0
-    found = np.zeros(n, dtype=bool)
-    points, count, e = np.concatenate([places, corners]), 2, 0
-    for begin in range(0, n, _BATCH):
-        count, e = _put(points, elements, across, begin, min(n, begin + _BATCH), count, e)
-        if e < 0:
-            raise Untriangulated(f"nodes at {places[begin:begin + 1]}")
-    at, missing = np.empty(n + 4, dtype=np.int64), np.zeros(n, dtype=bool)
-    at[elements[:count]] = np.arange(count)[:, None]
-    for begin in range(0, n, _BATCH):
-        _force(points, elements, across, count, following, begin, min(n, begin + _BATCH), at, missing)
-    if missing.any():
-        return elements, across, ~missing
-    count = _cut_out(elements, across, count, following, found)
-    return elements[:count], across[:count], found
-
-
 def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np.ndarray,
             field: Callable[[np.ndarray], np.ndarray], growth: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Nodes put into the triangles of a boundary."""
@@ -227,7 +194,7 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
         cells = _look(points, sizes, elements[:n_elements], n_read, settled)
         refuse_too_many(NODES_PER_CELL[2] * cells, domain)
         n_read = n
-        for most in range(n_read + _BATCH, len(points) + _BATCH, _BATCH):
+        for most in range(n_read + BATCH, len(points) + BATCH, BATCH):
             most = min(most, len(points))
             n, n_elements = _fill(points, sizes, elements, across, n, n_elements, most, n_read, settled, dips)
             if n < most:
@@ -246,241 +213,6 @@ def _mesh(domain: Outline, points: np.ndarray, elements: np.ndarray, following: 
     if not (mesh.volumes.min() > 0 and abs(mesh.volumes.sum() - area) <= 1e-9 * area):
         raise Untriangulated(f"triangles of {domain!r} are turned over")
     return trusted(mesh, None)
-
-
-@inner_kernel
-def _walk(points, elements, across, e, p):
-    """The triangle that holds node p, on the straight way from triangle e; -1 if that leaves the mesh. In a Delaunay
-    triangulation no triangle comes twice: the power of p with respect to their circles falls."""
-    for _ in range(len(elements)):
-        worst, side = 0.0, -1
-        for k in range(3):
-            away = turn(points, elements[e, (k + 1) % 3], elements[e, (k + 2) % 3], p)
-            if away < worst:
-                worst, side = away, k
-        if side < 0:
-            return e
-        if across[e, side] < 0:
-            return np.int64(-1)
-        e = np.int64(across[e, side])
-    return np.int64(-1)
-
-
-@inner_kernel
-def _place(elements, across, e, a, b, c, over_a, over_b, over_c):
-    """Write a triangle and its neighbours."""
-    elements[e, 0], elements[e, 1], elements[e, 2] = a, b, c
-    across[e, 0], across[e, 1], across[e, 2] = over_a, over_b, over_c
-
-
-@inner_kernel
-def _insert(points, elements, across, n, e, p, settled):
-    """Cut triangle e at the node p in it, or at an edge both triangles there, and swap edges; returns the number of
-    triangles. Nothing happens at a node or an edge of the boundary. Triangles that change are no longer ``settled``."""
-    k, on = 0, 0
-    for j in range(3):
-        if turn(points, elements[e, (j + 1) % 3], elements[e, (j + 2) % 3], p) == 0.0:
-            k, on = j, on + 1
-    a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-    over_a, over_b, over_c = across[e, k], across[e, (k + 1) % 3], across[e, (k + 2) % 3]
-    m = n + 1
-    if on == 0:
-        _place(elements, across, e, p, a, b, over_c, n, m)
-        _place(elements, across, n, p, b, c, over_a, m, e)
-        _place(elements, across, m, p, c, a, over_b, e, n)
-        replace_neighbour(across, over_a, e, n)
-        replace_neighbour(across, over_b, e, m)
-    else:
-        f = np.int64(over_a)
-        if f < 0 or on > 1:
-            return n
-        j = opposite(elements, f, b, c)
-        d, beyond_c, beyond_b = elements[f, j], across[f, (j + 1) % 3], across[f, (j + 2) % 3]
-        _place(elements, across, e, p, a, b, over_c, m, n)
-        _place(elements, across, n, p, c, a, over_b, e, f)
-        _place(elements, across, f, p, d, c, beyond_b, n, m)
-        _place(elements, across, m, p, b, d, beyond_c, f, e)
-        replace_neighbour(across, over_b, e, n)
-        replace_neighbour(across, beyond_c, f, m)
-    # around the node, which comes first in its triangles; ends as swaps do
-    first = e
-    while True:
-        settled[e] = False
-        if across[e, 0] < 0 or not swap_edge(points, elements, across, e, np.int64(0)):
-            e = np.int64(across[e, 1])
-            if e == first:
-                return m + 1
-
-
-@kernel
-def _put(points, elements, across, begin, end, count, e):
-    """Put nodes into the triangles, the way to the first from triangle e. Returns the number of triangles and the last
-    one; -1 where a node lies on another one."""
-    settled = np.empty(len(elements), dtype=np.bool_)
-    for p in range(begin, end):
-        e, before = _walk(points, elements, across, e, p), count
-        if e >= 0:
-            count = _insert(points, elements, across, count, e, p, settled)
-        if count == before:
-            return count, np.int64(-1)
-    return count, e
-
-
-@inner_kernel
-def _is_edge(following, a, b):
-    """Whether nodes follow each other on the boundary."""
-    return (a < len(following) and following[a] == b) or (b < len(following) and following[b] == a)
-
-
-@inner_kernel
-def _crossed(points, elements, across, following, e, a, b, chains, outer, cells):
-    """Look from node a, a corner of triangle e, to node b. Fill ``cells``, the triangles between them; ``chains``, the
-    nodes to the right and to the left from a to b; and ``outer``: start, end, and triangle beyond, of the sides of all
-    these triangles. Returns the numbers of triangles, of nodes to the right and to the left; no triangles where the
-    edge is there, -1 and the first node of what is in the way where that is an edge of the boundary, or a node."""
-    first = e
-    while True:  # once around a
-        k = 0 if elements[e, 0] == a else 1 if elements[e, 1] == a else 2
-        u, v = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-        if u == b or v == b:
-            return 0, 0, 0
-        right, left = turn(points, a, u, b), turn(points, a, v, b)
-        ahead = ((points[u, 0] - points[a, 0]) * (points[b, 0] - points[a, 0])
-                 + (points[u, 1] - points[a, 1]) * (points[b, 1] - points[a, 1]))
-        if right == 0.0 and ahead > 0.0:
-            return -1, np.int64(u), 0
-        if right > 0.0 and left < 0.0:
-            break
-        e = np.int64(across[e, (k + 1) % 3])
-        if e == first:
-            return -1, np.int64(a), 0
-    chains[0, 0], chains[0, 1], chains[1, 0], chains[1, 1], n, n_right, n_left = a, u, a, v, 0, 2, 2
-    # on the way no triangle comes twice
-    while True:
-        for j in range(3):
-            outer[3 * n + j, 0], outer[3 * n + j, 1] = elements[e, (j + 1) % 3], elements[e, (j + 2) % 3]
-            outer[3 * n + j, 2] = across[e, j]
-        cells[n] = e
-        n += 1
-        if elements[e, 0] == b or elements[e, 1] == b or elements[e, 2] == b:
-            chains[0, n_right], chains[1, n_left] = b, b
-            return n, n_right + 1, n_left + 1
-        if _is_edge(following, u, v):
-            return -1, np.int64(u if following[u] == v else v), 0
-        e = np.int64(across[e, opposite(elements, e, u, v)])
-        w = elements[e, opposite(elements, e, u, v)]
-        side = turn(points, a, b, w)
-        if w != b and side == 0.0:
-            return -1, np.int64(w), 0
-        if w != b and side > 0.0:
-            v, chains[1, n_left], n_left = w, w, n_left + 1
-        elif w != b:
-            u, chains[0, n_right], n_right = w, w, n_right + 1
-
-
-@inner_kernel
-def _retriangulate(points, elements, chain, m, cells, n, ranges):
-    """Write Delaunay triangles (M. V. Anglada, 1997) between the m nodes of a chain, counter-clockwise, from number n
-    of ``cells`` on; returns the number after the last."""
-    ranges[0, 0], ranges[0, 1], depth = 0, m - 1, 1
-    while depth > 0:  # a range of k nodes leaves two which have k + 1
-        depth -= 1
-        low, high = ranges[depth, 0], ranges[depth, 1]
-        best = np.int64(-1)
-        for k in range(low + 1, high):
-            if turn(points, chain[low], chain[k], chain[high]) > 0.0 and (
-                    best < 0 or in_circle(points, chain[low], chain[best], chain[high], chain[k]) > 0.0):
-                best = k
-        if best < 0:
-            continue
-        e = cells[n]
-        elements[e, 0], elements[e, 1], elements[e, 2] = chain[low], chain[best], chain[high]
-        n += 1
-        for begin, end in ((low, best), (best, high)):
-            if end - begin > 1:
-                ranges[depth, 0], ranges[depth, 1] = begin, end
-                depth += 1
-    return n
-
-
-@kernel
-def _force(points, elements, across, count, following, begin, end, at, missing):
-    """Make edges from nodes to the following ones; ``at``: a triangle of each. ``missing`` becomes True for those that
-    cross others, and for these."""
-    chains, outer = np.empty((2, count + 2), dtype=np.int64), np.empty((3 * count, 3), dtype=np.int64)
-    cells, ranges = np.empty(count, dtype=np.int64), np.empty((count, 2), dtype=np.int64)
-    for a in range(begin, end):
-        b = following[a]
-        n, n_right, n_left = _crossed(points, elements, across, following, at[a], np.int64(a), b, chains, outer, cells)
-        if n < 0:
-            missing[a] = missing[min(n_right, len(missing) - 1)] = True
-        if n <= 0:
-            continue
-        # the left chain from b to a
-        for i in range(n_left // 2):
-            chains[1, i], chains[1, n_left - 1 - i] = chains[1, n_left - 1 - i], chains[1, i]
-        half = _retriangulate(points, elements, chains[0], n_right, cells, 0, ranges)
-        if _retriangulate(points, elements, chains[1], n_left, cells, half, ranges) < n:
-            missing[:] = True
-            return
-        for i in range(n):
-            e = cells[i]
-            for k in range(3):
-                p, q = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-                at[p] = e
-                across[e, k] = -1
-                for j in range(3 * n):
-                    f, m = cells[j // 3], j % 3
-                    if elements[f, (m + 1) % 3] == q and elements[f, (m + 2) % 3] == p:
-                        across[e, k] = f
-                if across[e, k] >= 0:
-                    continue
-                for j in range(3 * n):
-                    if outer[j, 0] == p and outer[j, 1] == q:
-                        f = across[e, k] = outer[j, 2]
-                        if f >= 0:
-                            across[f, opposite(elements, f, p, q)] = e
-
-
-@kernel
-def _cut_out(elements, across, count, following, found):
-    """Drop the triangles outside. ``found`` becomes True where the edge to the following node is there. Returns how
-    many triangles are left."""
-    n = len(following)
-    # triangles to the left of edges of the boundary, and all that hang together with them
-    number = np.full(count, -1, dtype=np.int32)
-    queue, last = np.empty(count, dtype=np.int64), 0
-    for e in range(count):
-        for k in range(3):
-            a, b = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-            if a < n and following[a] == b:
-                found[a] = True
-                across[e, k] = -1
-                if number[e] < 0:
-                    number[e], queue[last] = 0, e
-                    last += 1
-    for i in range(n):
-        if not found[i]:
-            return 0
-    for first in range(count):
-        # no triangle is put into the queue twice
-        for k in range(3 if first < last else 0):
-            f = across[queue[first], k]
-            if f >= 0 and number[f] < 0:
-                number[f], queue[last] = 0, f
-                last += 1
-    left = 0
-    for e in range(count):
-        if number[e] == 0:
-            number[e] = left
-            left += 1
-    for e in range(count):
-        if number[e] >= 0:
-            for k in range(3):
-                f = across[e, k]
-                elements[number[e], k] = elements[e, k]
-                across[number[e], k] = number[f] if f >= 0 else -1
-    return left
 
 
 @kernel
@@ -596,10 +328,11 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
             if dip:
                 dips[e] = np.inf
             else:
-                t = _walk(points, elements, across, e, n)
+                t = walk(points, elements, across, e, n)
+            # where the bounded walk does not arrive the triangle stays as large as it is
             if t >= 0 and _is_free(points, elements, across, t, n, _APART * h):
                 sizes[n] = h if dip else _interpolated(points, elements, t, n, sizes)
-                more = _insert(points, elements, across, count, t, n, settled)
+                more = insert(points, elements, across, count, t, n, settled)
                 if more > count:
                     n, count = n + 1, more
                     settled[e] = False

@@ -10,9 +10,10 @@ from uncompiled import uncompile
 import adaptmg as am
 from adaptmg._numba import kernel
 from adaptmg.geometry import predicates
-from adaptmg.mesh import check_mesh, graded, grading, improve, quality, sized, triangulate
+from adaptmg.mesh import check_mesh, delaunay, graded, grading, improve, quality, sized, triangulate
+from adaptmg.mesh.delaunay import Untriangulated
 from adaptmg.mesh.netgen_plane import equilateral_sizes
-from adaptmg.mesh.triangulate import Untriangulated, triangulated
+from adaptmg.mesh.triangulate import triangulated
 
 SQUARE = am.Rectangle(width=1, height=1)
 
@@ -210,7 +211,7 @@ def test_netgen_meshes_what_triangulation_does_not(monkeypatch):
 def test_kernels_are_plain_python(monkeypatch):
     compiled = [graded(domain, 0.4, domain.boundaries[0], 4) for domain in (SQUARE, DOMAINS["narrow ring"])]
     dips = sized(SQUARE, am.mesh.SizeNear([(0.4, 0.4)], size=0.05), 0.3)
-    uncompile(monkeypatch, improve, predicates, triangulate)
+    uncompile(monkeypatch, improve, predicates, delaunay, triangulate)
     for domain, mesh in zip((SQUARE, DOMAINS["narrow ring"]), compiled, strict=True):
         plain = graded(domain, 0.4, domain.boundaries[0], 4)
         assert (plain.elements == mesh.elements).all()

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, sound_by_construction
+from adaptmg.mesh.arrays import MeshArrays, Surface, signed_measures, sound_by_construction
 from adaptmg.mesh.bisection.tables import with_refinement
 from adaptmg.mesh.domains import in_edges
 from adaptmg.mesh.soundness import check_mesh
@@ -71,7 +71,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
         moved = (points != mesh.points).any(axis=1)
         if near is None:
             near = np.flatnonzero(moved[mesh.elements].any(axis=1))
-        spoilt = near[_volumes(points, mesh.elements[near]) < _KEPT_VOLUME * _volumes(mesh.points, mesh.elements[near])]
+        spoilt = near[signed_measures(points, mesh.elements[near]) < _KEPT_VOLUME * mesh.volumes[near]]
         if not len(spoilt):
             break
         stays[mesh.elements[spoilt]] = True
@@ -86,13 +86,9 @@ def _new_nodes(mesh: MeshArrays, name: str, n_old: int) -> tuple[np.ndarray, np.
     """New nodes of a boundary, and the sum of the normals of its facets around each."""
     facets = mesh.boundary_facets(name)
     facets = facets[(facets >= n_old).any(axis=1)]
-    corners = mesh.points[facets]
-    edges = corners[:, 1:] - corners[:, :1]
-    normals = (np.column_stack([edges[:, 0, 1], -edges[:, 0, 0]]) if mesh.dim == 2
-               else np.cross(edges[:, 0], edges[:, 1]))
     nodes, number = np.unique(facets, return_inverse=True)
     summed = np.zeros((len(nodes), mesh.dim))
-    np.add.at(summed, number.reshape(facets.shape), normals[:, None])
+    np.add.at(summed, number.reshape(facets.shape), Surface(mesh.points, facets).vectors[:, None])
     new = nodes >= n_old
     return nodes[new], summed[new]
 
@@ -122,12 +118,6 @@ def _moved(mesh: MeshArrays, sides: list, depth: np.ndarray, stays: np.ndarray, 
             goes = np.linalg.norm(places - 0.5 * (a + b), axis=1) > 1e-14 * np.linalg.norm(b - a, axis=1)
             points[nodes[mine][goes]] = places[goes]
     return points
-
-
-def _volumes(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
-    """Signed volumes, up to a factor."""
-    corners = points[elements]
-    return np.linalg.det(corners[:, 1:] - corners[:, :1])
 
 
 # nodes further from an arc than this part of the edge between them do not lie on it
