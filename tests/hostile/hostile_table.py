@@ -6,7 +6,7 @@ from dataclasses import dataclass
 __all__ = ["TABLES", "Hostile", "each", "labelled", "words"]
 
 #: modules next to this one with a sequence INPUTS of Hostile rows
-TABLES = ("numbers_and_counts", "arrays_and_matrices", "names_and_objects", "user_parts", "domains", "result_files",
+TABLES = ("values", "arrays_and_matrices", "user_parts", "domains", "result_files",
           "stores", "outputs", "command_line", "mesh_files", "mesh_objects", "adaptive_loops")
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import netgen.meshing
 import ngsolve
 import numpy as np
-from hostile_table import Hostile
+from hostile_table import Hostile, each, labelled
 
 import adaptmg as am
 from adaptmg.mesh import (
@@ -44,10 +44,6 @@ def _set(mesh: MeshArrays, name: str, where, value) -> MeshArrays:
     return replace(mesh, source=None, **{name: array})
 
 
-def _moved(mesh: MeshArrays, node: int, by: float) -> MeshArrays:
-    return _set(mesh, "points", node, mesh.points[node] + by)
-
-
 def _raw(table: str, field: str, value) -> ngsolve.Mesh:
     """An ngsolve mesh, changed behind its back."""
     mesh = to_ngsolve(CUBE.points, CUBE.elements, CUBE.facets, CUBE.facet_labels, CUBE.boundaries)
@@ -59,30 +55,14 @@ def _raw(table: str, field: str, value) -> ngsolve.Mesh:
 
 
 def _arrays():
-    for dim, mesh in (("2D", SQUARE), ("3D", CUBE)):
-        inner = int(np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)[0])
-        changes = {label: (name, lambda m=mesh, n=name, w=where, v=value: _set(m, n, w, v))
-                   for label, (name, where, value) in VALUES.items()}
-        changes |= {label: (name, lambda m=mesh, n=name, k=kind: replace(m, **{n: getattr(m, n).astype(k)}))
-                    for label, (name, kind) in TYPES.items()}
-        changes |= {
-            "bodies two": ("bodies", lambda m=mesh: replace(m, bodies=("a", "a"))),
-            "points 1D": ("points", lambda m=mesh: replace(m, points=m.points[:, :1])),
-            "points 4D": ("points", lambda m=mesh: replace(m, points=np.zeros((m.n_nodes, 4)))),
-            # arrays are taken unchanged, elements are not turned
-            "folded over": ("inverted", lambda m=mesh, i=inner: _moved(m, i, 0.8)),
-            "corner through": ("inverted", lambda m=mesh: _moved(m, 0, 1.7)),
-            "element twice": ("elements", lambda m=mesh: replace(
-                m, elements=np.vstack([m.elements, m.elements[:1]]), element_body=None)),
-            "element left out": ("boundary facets are no", lambda m=mesh: replace(
-                m, elements=m.elements[1:], element_body=None)),
-            "flat": ("degenerate", lambda m=mesh: _set(m, "points", m.elements[0, 0], m.points[m.elements[0, 1]])),
-            "unused node": ("nodes", lambda m=mesh: replace(m, points=np.vstack([m.points, m.points[:1] + 9]))),
-        }
-        for label, (says, make) in changes.items():
-            if dim == "3D" and label not in ("node n", "facet node -7", "folded over", "corner through", "flat"):
-                continue  # the same checks
-            yield Hostile(f"{dim} {label}", lambda f=make: as_mesh(replace(f(), source=None)), says)
+    """What else is wrong with a mesh: tests/mesh/test_mesh_soundness.py."""
+    for dim, mesh, labels in (("2D", SQUARE, VALUES), ("3D", CUBE, ("node n", "facet node -7"))):
+        for label in labels:
+            name, where, value = VALUES[label]
+            yield Hostile(f"{dim} {label}", lambda m=mesh, w=(name, where, value): as_mesh(_set(m, *w)), name)
+    for label, (name, kind) in TYPES.items():
+        yield Hostile(label, lambda n=name, k=kind: replace(SQUARE, **{n: getattr(SQUARE, n).astype(k)}), name)
+    yield Hostile("points 1D", lambda: replace(SQUARE, points=SQUARE.points[:, :1]), "points")
 
 
 def _objects():
@@ -96,21 +76,15 @@ def _objects():
     yield Hostile("ngsolve empty", lambda: as_mesh(ngsolve.Mesh(netgen.meshing.Mesh(dim=3))), "elements")
     yield Hostile("netgen mesh", lambda: as_mesh(SQUARE.source.ngmesh), "mesh must be")
     yield Hostile("merged text", lambda: merged({"a": "mesh"}), "meshes")
-    for label, name in {"dot": "a.b", "control": "a\nb"}.items():
-        yield Hostile(f"merged name {label}", lambda n=name: merged({n: SQUARE}), "name")
-    masks = {"none": np.zeros(18, dtype=bool), "numbers": np.zeros(18), "short": np.ones(3, dtype=bool), "text": "all",
-             "indices": np.array([1, 2]), "None": None}
-    for label, mask in masks.items():
-        yield Hostile(f"bisect {label}", lambda m=mask: bisect(SQUARE, m), "marked")
-    for old in (-1, "all", 17):
-        yield Hostile(f"onto_domain {old}", lambda n=old: onto_domain(None, SQUARE, n), "n_old")
-    for levels in (0, 25, 10**400):
-        yield Hostile(f"refine_near {str(levels)[:5]}", lambda n=levels: refine_near(SQUARE, "top", n), "levels")
+    yield Hostile("merged name", lambda: merged({"a\nb": SQUARE}), "name")
+    yield from each("marked", lambda v: bisect(SQUARE, v), labelled((
+        np.zeros(18, dtype=bool), np.zeros(18), np.ones(3, dtype=bool), None)))
+    yield from each("n_old", lambda v: onto_domain(None, SQUARE, v), labelled((-1, 17)))
+    yield Hostile("refine_near 25", lambda: refine_near(SQUARE, "top", 25), "levels")
     yield Hostile("refine_near 3D", lambda: refine_near(CUBE, "top", 12), "levels")
     yield Hostile("bisected 40", lambda: am.Hierarchy.bisected(
         am.cases.greco_bar(), structured(am.cases.greco_bar().domain, 2), 40), "levels")
-    for names in ("nowhere", (), (1,)):
-        yield Hostile(f"refine_near boundaries {names}", lambda n=names: refine_near(SQUARE, n), "boundar")
+    yield from each("boundaries", lambda v: refine_near(SQUARE, v), labelled(((), (1,))))
 
 
 INPUTS = (*_arrays(), *_objects())

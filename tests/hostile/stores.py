@@ -82,7 +82,6 @@ _PATHS = {
         "steps swapped": _swapped, "the first step copied": _copied("step_0000.npz", "step_0001.npz"),
         "a step of another path": _foreign(mark="another"), "a step on another mesh": _foreign(mark="a", mesh_of=3),
         "a result outside a path": lambda folder: results()[1].save(folder / "step_0001.npz"),
-        "half a step": _cut("step_0001.npz"),
         "a step that is a pipe": lambda folder: ((folder / "step_0001.npz").unlink(),
                                                  os.mkfifo(folder / "step_0001.npz")),
         "a step missing": lambda folder: (folder / "step_0001.npz").unlink()},
@@ -91,15 +90,12 @@ _PATHS = {
     "path.json": {
         "no head": lambda folder: (folder / "path.json").unlink(), "half a head": _cut("path.json"),
         "bad UTF-8": _written("path.json", b"\xff\xfe{}"), "deep": _written("path.json", b"[" * 10**5),
-        "a head that is a folder": lambda folder: ((folder / "path.json").unlink(), (folder / "path.json").mkdir()),
         "a head that is a pipe": lambda folder: ((folder / "path.json").unlink(), os.mkfifo(folder / "path.json")),
-        "a head without end": lambda folder: ((folder / "path.json").unlink(),
-                                              (folder / "path.json").symlink_to("/dev/zero")),
         "other factors": _head(factors={"left": [0.5, 1.0, 0.1]}), "fewer steps": _head(steps=2),
-        "many steps": _head(steps=10**30), "steps of text": _head(steps="3"), "no factors": _head(factors="gone"),
+        "steps of text": _head(steps="3"), "no factors": _head(factors="gone"),
         "another key": _head(key="0"), "another fingerprint": _head(fingerprint={"problem": "theirs"}),
         "norms of text": _head(norms="ab")},
-    "store": {"an older version": _head(format=1), "a newer version": _head(format=10)},
+    "store": {"a newer version": _head(format=10)},
 }
 
 
@@ -177,7 +173,7 @@ _STUDIES = {
     "bad UTF-8": "UPDATE runs SET results = CAST(x'7b22ff' AS TEXT)", "junk JSON": "UPDATE runs SET results = '{\"'",
     "a nested result": "UPDATE runs SET results = '{\"a\": [1]}'",
     "seconds of text": "UPDATE runs SET seconds = 'long'", "a date that is a blob": "UPDATE runs SET finished = x'78'",
-    "memory of text": "UPDATE runs SET peak_memory = 'x'", "junk files": "UPDATE runs SET files = '{\"a\": 1}'",
+    "junk files": "UPDATE runs SET files = '{\"a\": 1}'",
     "a foreign database": "DROP TABLE runs; DROP TABLE origins; CREATE TABLE mine (x); PRAGMA user_version = 0",
     "numbers for JSON": "UPDATE runs SET versions = 3", "junk parameters": "UPDATE runs SET parameters = 'n=1'",
     "an error that is a blob": "UPDATE runs SET error = x'00ff'", "no table": "DROP TABLE runs",
