@@ -161,41 +161,6 @@ class TestTransformation:
                                    np.linalg.inv(np.eye(len(T) // dim) - coupling.weights.toarray()),
                                    atol=1e-12 * np.abs(coupling.upward).max() ** 2)
 
-    @given(seed=SEEDS, links=st.integers(1, 3), dim=st.sampled_from([2, 3]))
-    @settings(max_examples=30, deadline=None)
-    def test_transformed(self, seed, links, dim):
-        coupling, rng = made(seed, links, dim)
-        n = len(coupling.fixed)
-        blocks = np.kron(rng.random((n // dim, n // dim)) < 0.3, np.ones((dim, dim)))
-        A = rng.normal(size=(n, n)) * blocks
-        A = A + A.T + 10 * np.eye(n)
-        T = dense(coupling)
-        result = coupling.transformed(sparse.bsr_array(A, blocksize=(dim, dim)))
-        assert result.blocksize == (dim, dim) and result.has_sorted_indices
-        expected = T.T @ A @ T
-        np.testing.assert_allclose(result.toarray(), expected, atol=1e-13 * np.abs(expected).max() * n)
-        np.testing.assert_array_equal(result.toarray(), result.toarray().T)
-        indices = [tuple(pair) for pair in zip(np.repeat(np.arange(n // dim), np.diff(result.indptr)), result.indices,
-                                               strict=True)]
-        assert len(set(indices)) == len(indices)
-
-    @given(seed=SEEDS)
-    @settings(max_examples=30, deadline=None)
-    def test_prolongation(self, seed):
-        rng = np.random.default_rng(seed)
-        fine, coarse = (Coupling(chained(rng, 2, n), np.zeros(2 * 3 * n, dtype=bool)) for n in (6, 3))
-        P = sparse.csr_array(rng.random((18, 9)) * (rng.random((18, 9)) < 0.5))
-        relative = fine.prolongation(P, coarse)
-        expected = np.linalg.inv(dense(fine))[::2, ::2] @ P.toarray() @ dense(coarse)[::2, ::2]
-        np.testing.assert_allclose(relative.toarray(), expected, atol=1e-11 * max(1, np.abs(expected).max()))
-        assert relative.has_sorted_indices and (relative.data != 0).all()
-        # the same field, whichever way one goes
-        w = rng.normal(size=9)
-        one = fine.physical(np.repeat(relative @ w, 2))
-        other = np.repeat(P @ coarse.physical(np.repeat(w, 2))[::2], 2)
-        np.testing.assert_allclose(one, other, atol=1e-10 * max(1, np.abs(other).max()))
-
-
 class TestCoupled:
     def springs(self):
         """Two chains of three nodes; node 3 (slave) faces nodes 1 and 2."""

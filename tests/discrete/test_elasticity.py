@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bisected_meshes import shaken
 from made_bodies import joined
 from refused import refused
 from scipy import sparse
-from uncompiled import uncompile
 
-from adaptmg.discrete import elasticity, element_strain, fixed_dofs, full_stress, load_vector, stiffness, von_mises
+from adaptmg.discrete import element_strain, fixed_dofs, full_stress, load_vector, stiffness, von_mises
 from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import hoop_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
@@ -22,13 +22,6 @@ KINDS = {"plane strain": PlaneStrain, "plane stress": PlaneStress, "axisymmetric
 EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 STEEL = Axisymmetric(young=2.1e11, poisson=0.3)
 INNER, OUTER, HEIGHT = 0.1, 0.25, 0.12
-
-
-def shaken(mesh: MeshArrays, size: float, seed: int) -> MeshArrays:
-    """With moved inner nodes."""
-    points, inside = mesh.points.copy(), np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
-    points[inside] += size * np.random.default_rng(seed).uniform(-1, 1, (len(inside), mesh.dim))
-    return replace(mesh, points=points, source=None)
 
 
 def part(dim: int, divisions: int, lift: float) -> MeshArrays:
@@ -211,17 +204,6 @@ class TestInitialStrain:
         assert np.abs(full_stress(mesh, materials, u, [strain])).max() < 1e-10 * 7e10 * 2e-3
         assert np.abs(full_stress(mesh, materials, u)).max() > 1e-2 * 7e10 * 2e-3
 
-    def test_through_the_thickness_in_plane_strain(self):
-        # fully held in z, free in the plane: sigma_zz = -E e and no other stress, in-plane strain nu e
-        mesh, material = PARTS[2]["lower"], PlaneStrain(young=2.1e11, poisson=0.27)
-        strain = InitialStrain("body", (0.0, 0.0, 1e-3))
-        u = solved(mesh, material, [strain], [Support("left", x=0.0), Support("bottom", y=0.0)])
-        stress = full_stress(mesh, material, u, [strain])
-        np.testing.assert_allclose(stress[:, 2, 2], -2.1e8, rtol=1e-10)
-        np.testing.assert_allclose(stress[:, :2, :2], 0.0, atol=1e-2)
-        np.testing.assert_allclose(u, 0.27e-3 * (mesh.points - mesh.points.min(axis=0)), atol=1e-16)
-        np.testing.assert_allclose(von_mises(stress), 2.1e8, rtol=1e-10)
-
     def test_linear_in_position_is_exact(self):
         # virtual work on v = (x, 0, 0): (lambda + 2 mu) int e with e = k (y + z), 2 x 1.5 x 1
         mesh, material, k = PARTS[3]["lower"], Solid(young=2.1e11, poisson=0.3), 1e-3
@@ -236,17 +218,6 @@ class TestInitialStrain:
             modulus * k * 2 * np.pi * HEIGHT * (OUTER**3 - INNER**3) / 3, rel=1e-12)
         plane = load_vector(RING, [InitialStrain("body", (2e-4, -5e-4))], STEEL)
         np.testing.assert_array_equal(plane, load_vector(RING, [InitialStrain("body", (2e-4, -5e-4, 0.0))], STEEL))
-
-    def test_several_add_up(self):
-        mesh, materials = BOTH[2], two(PlaneStress)
-        strains = [InitialStrain("upper", (1e-3, 0.0)), InitialStrain("lower", (0.0, lambda x: 1e-3 * x[:, 0])),
-                   InitialStrain("upper", (0.0, 2e-3))]
-        np.testing.assert_allclose(load_vector(mesh, strains, materials),
-                                   sum(load_vector(mesh, [one], materials) for one in strains), atol=1e-8)
-        u = np.zeros(mesh.points.shape)
-        np.testing.assert_allclose(full_stress(mesh, materials, u, strains),
-                                   sum(full_stress(mesh, materials, u, [one]) for one in strains), atol=1e-6)
-
 
 @pytest.mark.parametrize(("stress", "expected"), [
     (np.diag([5.0, 0, 0]), 5.0), (np.diag([5.0, 0, 1.0]), 5 * np.sqrt(0.84)),  # uniaxial; plane strain with nu = .2
@@ -386,9 +357,3 @@ test_refusals = refused(
      "depends on the elastic constants: give material"))
 
 
-def test_kernels_without_jit(monkeypatch):
-    compiled = {name: stiffness(*case).data for name, case in CASES.items()}
-    uncompile(monkeypatch, elasticity)
-    for name, case in CASES.items():
-        np.testing.assert_allclose(stiffness(*case).data, compiled[name], rtol=0,
-                                   atol=1e-14 * np.abs(compiled[name]).max())

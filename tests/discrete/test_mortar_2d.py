@@ -8,12 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mortar import mortar_2d, node_normals, node_to_node, surfaces
 from refused import refused
-from uncompiled import uncompile
 
 from adaptmg.discrete.mortar import pairs
 from adaptmg.discrete.mortar import segments as module
 from adaptmg.discrete.mortar.interface import NEVER_FACING
-from adaptmg.geometry import search
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
 
@@ -181,15 +179,6 @@ test_refused = refused(
 def test_normals_are_weighted_by_measures(points, facets, normals):
     size = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1)
     np.testing.assert_allclose(node_normals(np.array(points), np.array(facets)), normals / size, atol=1e-15)
-
-
-def test_without_jit(monkeypatch):
-    cases = [two(arc(1.0, np.arange(9) * 2 * np.pi / 9), arc(1.1, -np.arange(7) * 2 * np.pi / 7), closed=True),
-             two(line(np.linspace(0, 1, 6)), line([0.13, 0.3, 0.9], up=True))]
-    compiled = [mortar_2d(*data) for data in cases]
-    uncompile(monkeypatch, module, search)
-    for data, expected in zip(cases, compiled, strict=True):
-        assert_same(mortar_2d(*data), expected)
 
 
 def errors_on_a_plane(n):

@@ -139,20 +139,6 @@ class TestHierarchies:
         assert np.abs(result.contact.force_t[corner]) > 1e-3 * np.abs(upper[0])
         np.testing.assert_allclose(upper, -lower, rtol=1e-10)
 
-    def test_saved_and_loaded(self, tmp_path):
-        grids = am.Hierarchy.graded(bodies.corner_pushed(am.Coulomb(0.3)), sizes=(0.5, 0.3))
-        result = am.solve(grids)
-        result.save(tmp_path / "corner.npz")
-        loaded = am.Result.load(tmp_path / "corner.npz")
-        assert loaded.contact.masters == result.contact.masters == ("seat.wall", "seat.floor", "block.top")
-        assert loaded.mesh.bodies == ("seat", "block", "cap")
-        for name in ("master_node", "master_force", "master_boundary", "force", "pair"):
-            np.testing.assert_array_equal(getattr(loaded.contact, name), getattr(result.contact, name))
-        for name in ("contact", "block.left", "seat.wall", "block.top", "seat.bottom", "cap.right"):
-            np.testing.assert_array_equal(loaded.resultant(name).force, result.resultant(name).force)
-        np.testing.assert_array_equal(am.solve(grids, am.Multigrid(), start=loaded).contact.state, result.contact.state)
-
-
 LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(1.5e7), "friction 0.3": am.Coulomb(0.3)}
 #: that all methods agree between bodies: tests/agreement
 SOLVERS = {"nested start": am.FullMultigrid(rtol=1e-11), "cold": am.Multigrid(rtol=1e-11), "active set": EXACT}

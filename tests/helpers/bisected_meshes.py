@@ -1,4 +1,4 @@
-"""Meshes for tests of bisection, and what is asked of them."""
+"""Meshes that are bisected, moved, measured, and what is asked of them."""
 
 from dataclasses import replace
 
@@ -14,13 +14,23 @@ def cube(divisions: int = 1) -> MeshArrays:
     return structured(Box(width=1, depth=1, height=1), divisions)
 
 
-def crooked(mesh: MeshArrays, by: float = 0.2, seed: int = 3) -> MeshArrays:
-    """A mesh of a unit square or cube with its inner nodes moved: longest edges anyhow."""
-    points = mesh.points.copy()
-    inner = ((points > 1e-9) & (points < 1 - 1e-9)).all(axis=1)
-    h = np.diff(np.unique(points[:, 0])).min()
-    points[inner] += by * h * np.random.default_rng(seed).uniform(-1, 1, (inner.sum(), mesh.dim))
+def shaken(mesh: MeshArrays, size: float, seed: int = 3) -> MeshArrays:
+    """A mesh with its inner nodes moved at random."""
+    points, inner = mesh.points.copy(), np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
+    points[inner] += size * np.random.default_rng(seed).uniform(-1, 1, (len(inner), mesh.dim))
     return check_mesh(replace(mesh, points=points, source=None))
+
+
+def crooked(mesh: MeshArrays) -> MeshArrays:
+    """A mesh of a unit square or cube, its longest edges anyhow."""
+    return shaken(mesh, 0.2 * np.diff(np.unique(mesh.points[:, 0])).min())
+
+
+def edge_lengths(mesh: MeshArrays, boundary: str) -> np.ndarray:
+    """Lengths of the edges on a boundary."""
+    corners = mesh.points[mesh.boundary_facets(boundary)]
+    pairs = [(0, 1)] if mesh.dim == 2 else [(0, 1), (1, 2), (2, 0)]
+    return np.concatenate([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs])
 
 
 def single(points: np.ndarray) -> MeshArrays:

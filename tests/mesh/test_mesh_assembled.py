@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from bisected_meshes import edge_lengths
 from refused import refused
 
 from adaptmg.mesh import MeshArrays, SizeNear, check_mesh, graded, merged, quality, sized, structured
@@ -24,11 +25,6 @@ RING = Outline(vertices=((1, 0), (2, 0), (2, 1), (0, 3), (-1, 3), (-1, 2), (0, 1
 BALL_ON_BLOCK = Assembly(parts={
     "ball": Outline(vertices=((0, 0), (8e-3, 8e-3), (0, 8e-3)), boundaries=("arc", "top", "axis"), arcs={0: (0, 8e-3)}),
     "block": Rectangle(width=8e-3, height=8e-3, origin=(0, -8e-3))})
-
-
-def lengths(mesh: MeshArrays, boundary: str) -> np.ndarray:
-    a, b = mesh.points[mesh.boundary_facets(boundary)[:, :2]].transpose(1, 0, 2)
-    return np.linalg.norm(b - a, axis=1)
 
 
 def off_circle(mesh: MeshArrays, boundary: str, center: tuple[float, float], radius: float) -> float:
@@ -69,7 +65,7 @@ class TestOutline:
         assert (outer[outer[:, 1] < 1, 0] == 2).all()
         curved = outer[outer[:, 1] > 1]
         np.testing.assert_allclose(np.linalg.norm(curved - [0, 1], axis=1), 2, rtol=1e-15)
-        relative = lengths(mesh, "in") * ratio / 0.4
+        relative = edge_lengths(mesh, "in") * ratio / 0.4
         assert relative.max() < 1.5 and relative.min() > 0.4
         assert quality(mesh).min_angle > 15
 
@@ -109,7 +105,7 @@ def test_each_body_is_meshed_apart_and_without_contact_alone():
     np.testing.assert_array_equal(mesh.points, alone.points)
     np.testing.assert_array_equal(mesh.elements, alone.elements)
     mesh = graded(TWO, 0.4, "upper.bottom", 8)
-    assert lengths(mesh, "upper.bottom").max() < 0.08 and lengths(mesh, "lower.top").min() > 0.2
+    assert edge_lengths(mesh, "upper.bottom").max() < 0.08 and edge_lengths(mesh, "lower.top").min() > 0.2
 
 
 class TestSizedAssembly:
@@ -119,8 +115,8 @@ class TestSizedAssembly:
         for name in ("ball.arc", "block.top"):
             facets = mesh.boundary_facets(name)
             near = np.linalg.norm(mesh.points[facets].mean(axis=1), axis=1) < radius
-            assert near.sum() > 15 and 0.45 * h < lengths(mesh, name)[near].min()
-            assert lengths(mesh, name)[near].max() < 1.45 * h
+            assert near.sum() > 15 and 0.45 * h < edge_lengths(mesh, name)[near].min()
+            assert edge_lengths(mesh, name)[near].max() < 1.45 * h
         assert off_circle(mesh, "ball.arc", (0, 8e-3), 8e-3) < 1e-15
         assert mesh.n_nodes < 4000 and quality(mesh).min_angle > 15 and quality(mesh).h_max > 0.7e-3
 

@@ -1,10 +1,10 @@
 """Graded meshes: the sizes asked for are achieved, domains are met exactly, the same arguments give the same arrays."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from bisected_meshes import edge_lengths
 from scipy.spatial import cKDTree
 
 import adaptmg as am
@@ -17,13 +17,6 @@ SQUARE = Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))
 ANGLE = Polygon(vertices=((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)), boundaries=("b", "r", "c", "c", "t", "l"))
 WEDGE = Polygon(vertices=((0, -16e3), (12e3, 0), (12e3, 24e3), (0, 24e3)), boundaries=("flank", "neck", "top", "sym"))
 BOX = Box(width=40e-3, depth=20e-3, height=30e-3, origin=(0.01, 0.02, 0.03))
-
-
-def edge_lengths(mesh, boundary):
-    """Lengths of the edges on a boundary."""
-    corners = mesh.points[mesh.boundary_facets(boundary)]
-    pairs = [(0, 1)] if mesh.dim == 2 else [(0, 1), (1, 2), (2, 0)]
-    return np.concatenate([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs])
 
 
 @pytest.mark.parametrize("ratio", [1, 16, 500])
@@ -67,14 +60,6 @@ def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio
     # not nested: inner nodes of the coarse mesh are not those of the fine one
     inner = np.setdiff1d(np.arange(coarse.n_nodes), coarse.facets)
     assert np.median(cKDTree(fine.points).query(coarse.points[inner])[0]) > 0.05 * size
-
-
-def test_boxes_of_halved_sizes_are_not_nested():
-    meshes = [graded(BOX, 20e-3 / 2**level, "bottom", ratio) for ratio in (1, 2) for level in range(4)]
-    for coarse, fine in pairwise(meshes):
-        inner = np.setdiff1d(np.arange(coarse.n_nodes), coarse.facets)
-        apart = cKDTree(fine.points).query(coarse.points[inner])[0]
-        assert np.median(apart) > 0.1 * np.median(fine.element_sizes)
 
 
 def test_a_box_that_is_far_too_thin_for_the_sizes_is_refused():
@@ -133,20 +118,6 @@ def test_box_sizes_are_achieved(ratio):
     height = mesh.points[mesh.elements].mean(axis=1)[:, 2] - BOX.lower[2]
     if ratio == 16:
         assert np.median(mesh.element_sizes[height > 20e-3]) > 4 * np.median(mesh.element_sizes[height < 1e-3])
-
-
-def test_sized_follows_a_field():
-    corner = np.array(SQUARE.upper)
-
-    def field(x):
-        return 0.2e-3 + 0.2 * np.linalg.norm(x - corner, axis=1)
-
-    mesh = sized(SQUARE, field, 8e-3)
-    wanted = np.minimum(8e-3, field(mesh.points[mesh.elements].mean(axis=1)))
-    relative = mesh.element_sizes / wanted
-    assert relative.max() < 2.5 and 0.8 < np.median(relative) < 1.4
-    uniform = sized(SQUARE, 5e-3, 10e-3)
-    assert 3e-3 < np.median(uniform.element_sizes) < 7e-3
 
 
 def test_sized_catches_a_strong_field_at_a_corner():

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bisected_meshes import containing_elements
-from uncompiled import uncompile
+from bisected_meshes import shaken as moved
 
 import adaptmg as am
-from adaptmg.mesh import check_mesh, graded, improve, structured
+from adaptmg.mesh import check_mesh, graded, structured
 from adaptmg.mesh.arrays import facet_table
 from adaptmg.mesh.improve import halved, improved
 
@@ -18,21 +18,15 @@ BOX = am.Box(width=0.3, depth=0.2, height=0.1)
 TWO = am.Assembly(parts={"left": PLATE, "right": am.Rectangle(width=0.1, height=0.2, origin=(0.3, 0.0))})
 
 
+def shaken(mesh, share=0.3):
+    return moved(mesh, share * mesh.element_sizes.min())
+
+
 def shapes(mesh):
     """Mean ratios, 1 for equilateral elements."""
     corners, k = mesh.points[mesh.elements], mesh.dim + 1
     square = sum(np.square(corners[:, i] - corners[:, j]).sum(axis=1) for i in range(k) for j in range(i))
     return (4 * np.sqrt(3) * mesh.volumes if mesh.dim == 2 else 12 * np.cbrt(3 * mesh.volumes)**2) / square
-
-
-def shaken(mesh, share=0.3):
-    """Inner nodes moved at random, as far as no element turns over."""
-    rng, points = np.random.default_rng(3), mesh.points.copy()
-    inner = np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
-    points[inner] += share * mesh.element_sizes.min() * rng.uniform(-1, 1, (len(inner), mesh.dim))
-    moved = am.MeshArrays(points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries)
-    assert moved.volumes.min() > 0
-    return moved
 
 
 @pytest.mark.parametrize(("mesh", "least"), [(structured(PLATE, (12, 8)), 0.86), (graded(BOX, 0.03), 0.75),
@@ -64,15 +58,6 @@ def test_swapped_triangles_are_delaunay():
     apart = np.linalg.norm((corners[:, 0] + centre)[:, None] - better.points[None], axis=2)
     inside = (apart < radius[:, None] * (1 - 1e-6)).any(axis=1)
     assert inside.mean() < 0.05
-
-
-def test_kernels_are_plain_python(monkeypatch):
-    rough, solid = shaken(graded(PLATE, 0.08), 0.2), shaken(graded(BOX, 0.07), 0.1)
-    compiled = improved(rough, 2), halved(rough), improved(halved(solid), 1)
-    uncompile(monkeypatch, improve)
-    for one, other in zip(compiled, (improved(rough, 2), halved(rough), improved(halved(solid), 1)), strict=True):
-        assert (one.elements == other.elements).all()
-        np.testing.assert_allclose(one.points, other.points, atol=1e-12)
 
 
 @pytest.mark.parametrize("mesh", [structured(PLATE, 3), graded(PLATE, 0.07), structured(BOX, 2), graded(BOX, 0.06),

@@ -5,12 +5,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg._numba import kernel
 from adaptmg.geometry import predicates
-from adaptmg.mesh import check_mesh, delaunay, graded, grading, improve, quality, sized, triangulate
+from adaptmg.mesh import check_mesh, delaunay, graded, grading, quality, sized, triangulate
 from adaptmg.mesh.delaunay import Untriangulated
 from adaptmg.mesh.netgen_plane import equilateral_sizes
 from adaptmg.mesh.triangulate import triangulated
@@ -206,14 +205,3 @@ def test_netgen_meshes_what_triangulation_does_not(monkeypatch):
     with pytest.raises(Untriangulated, match="edges of Outline"):
         triangulated(SQUARE.outline, lambda x: np.full(len(x), 0.5))
     assert graded(SQUARE, 0.5).n_nodes == 25 and len(asked) == 1
-
-
-def test_kernels_are_plain_python(monkeypatch):
-    compiled = [graded(domain, 0.4, domain.boundaries[0], 4) for domain in (SQUARE, DOMAINS["narrow ring"])]
-    dips = sized(SQUARE, am.mesh.SizeNear([(0.4, 0.4)], size=0.05), 0.3)
-    uncompile(monkeypatch, improve, predicates, delaunay, triangulate)
-    for domain, mesh in zip((SQUARE, DOMAINS["narrow ring"]), compiled, strict=True):
-        plain = graded(domain, 0.4, domain.boundaries[0], 4)
-        assert (plain.elements == mesh.elements).all()
-        np.testing.assert_allclose(plain.points, mesh.points, atol=1e-12)
-    assert (sized(SQUARE, am.mesh.SizeNear([(0.4, 0.4)], size=0.05), 0.3).elements == dips.elements).all()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from bodies import corner_pushed
 from scipy import sparse
-from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.discrete.discretise import discretise
@@ -15,7 +14,6 @@ from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.smoother import kernels, node_solve
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.solver.truncated import TruncatedIteration
 from adaptmg.transfer import without_fixed
@@ -175,7 +173,3 @@ def test_work_units_by_hand(monkeypatch):
     assert searches == pytest.approx(round(searches), abs=1e-9) and searches >= 0
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_sweeps_without_the_compiler(dim, monkeypatch):
-    uncompile(monkeypatch, node_solve, kernels, projected_sweeps)
-    test_sweeps(dim, "coulomb", 0.3 * GAP)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from bodies import bumpy
-from norms import distance
+from norms import distance, far
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from smoother_problems import expand
@@ -197,10 +197,6 @@ def joint():
 @pytest.fixture(scope="module")
 def spaces(uniform):
     return am.Hierarchy.algebraic(uniform.finest.discrete, max_coarse=20)
-
-
-def far(a, b):
-    return np.abs(a.displacement - b.displacement).max() / np.abs(b.displacement).max()
 
 
 @pytest.mark.parametrize("grids, method", [

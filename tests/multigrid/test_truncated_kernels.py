@@ -1,14 +1,12 @@
 """The parts of the truncated multigrid against dense algebra."""
 
 import itertools
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import sparse
 from smoother_problems import expand, network
-from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.multigrid import half_sweeps as kernels
@@ -22,8 +20,6 @@ from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.system import CLOSED, SLIPS
 from adaptmg.transfer import galerkin_product, without_fixed
-
-COMPILED = ("adaptmg.multigrid.", "adaptmg.smoother.")
 
 
 def random_matrix(rng: np.random.Generator, dim: int, n: int = 9) -> sparse.bsr_array:
@@ -273,11 +269,3 @@ def test_a_recombination_cuts_one_node_and_not_many():
         assert contact.admits(u.reshape(-1)) is (cut <= 1), (closed, moved, number)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_kernels_without_the_compiler(dim, monkeypatch):
-    uncompile(monkeypatch, *(module for name, module in list(sys.modules.items()) if name.startswith(COMPILED)))
-    test_half_passes_are_gauss_seidel(dim)
-    test_projected_half_passes_are_the_smoother(dim, "coulomb")
-    test_truncated_coarse_matrices(dim, "coulomb", True, False)
-    test_transfers(dim)
-    test_weights_of_past_iterates_are_those_of_least_squares()

@@ -57,25 +57,6 @@ def test_checks_return_the_type_that_is_needed():
         np.testing.assert_array_equal(checks.field("f", value, points), expected)
 
 
-class TestMaterials:
-    def test_lame_constants(self):
-        # one-dimensional strain e: stress (lambda + 2 mu) e; tabulated values of steel in GPa
-        assert STEEL.lame == pytest.approx(121.1538e9, rel=1e-6)
-        assert STEEL.shear_modulus == pytest.approx(80.7692e9, rel=1e-6)
-        for kind in (Solid, Axisymmetric):
-            other = kind(young=2.1e11, poisson=0.3)
-            assert other.lame == STEEL.lame and other.shear_modulus == STEEL.shear_modulus
-        with pytest.raises(dataclasses.FrozenInstanceError):
-            STEEL.young = 1.0
-
-    def test_plane_stress_leaves_no_stress_through_the_thickness(self):
-        sheet, solid = PlaneStress(young=2.1e11, poisson=0.3), Solid(young=2.1e11, poisson=0.3)
-        ex, ey = 1e-3, -4e-4
-        ez = -solid.lame * (ex + ey) / (solid.lame + 2 * solid.shear_modulus)
-        full = solid.lame * (ex + ey + ez) + 2 * solid.shear_modulus * ex
-        assert sheet.lame * (ex + ey) + 2 * sheet.shear_modulus * ex == pytest.approx(full, rel=1e-12)
-
-
 class TestLaws:
     @pytest.mark.parametrize(("law", "limit", "friction"), [
         (am.Tresca(lambda x: 10.0 * x[:, 0]), [0.0, 10.0, 10.0], 0.0),
@@ -95,21 +76,6 @@ class TestLaws:
                 return np.zeros(n_contact), np.full(n_contact, 0.5)
 
         assert isinstance(Half(), Law) and two(law=Half()).law.bounds(2)[1][1] == 0.5
-
-
-class TestObstacles:
-    def test_a_plane_measures_along_its_normal(self):
-        plane = am.Plane(point=(0.0, -1.0), normal=(0.0, 2.0))
-        points = np.array([[0.0, 0.0], [3.0, -2.0]])
-        normals, gaps = plane.contact(points, np.array([[0.0, -1.0], [0.6, -0.8]]))
-        np.testing.assert_array_equal(gaps, [1.0, -1.0])  # the second point lies behind the plane
-        np.testing.assert_array_equal(normals, [[0.0, -1.0], [0.0, -1.0]])
-
-    def test_a_gap_function_measures_along_the_normal_of_the_body(self):
-        normals = np.array([[0.0, -1.0]])
-        directions, gaps = am.GapFunction(lambda x: x[:, 0]**2).contact(np.array([[2.0, 0.0]]), normals)
-        assert gaps == [4.0] and directions is not normals
-        np.testing.assert_array_equal(directions, normals)
 
 
 class TestDomains:

@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 from smoother_problems import LAWS, dual_solution, network, tresca_energy
-from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.smoother import ProjectedGaussSeidel, blocks, gauss_seidel, kernels, node_solve, residuals
+from adaptmg.smoother import ProjectedGaussSeidel
+from adaptmg.smoother import system as codes_of
 from adaptmg.smoother.residuals import natural_residual, residual, states
-from adaptmg.smoother.system import LocalProblem, local_system
+from adaptmg.smoother.system import OPEN, SLIP, STICK, LocalProblem, contact_codes, inverse_blocks, local_system
 
 NETWORKS = [f"network {dim}D {law}" for dim in (2, 3) for law in LAWS]
 MESHES = {
@@ -168,6 +168,24 @@ def test_a_symmetric_sweep_is_a_forward_and_a_backward_one():
     assert smooth(problem, w, 0) == 0
 
 
+def test_codes_of_contact_nodes_and_their_states():
+    free, held, slips, backwards, closed = (getattr(codes_of, name) for name in (
+        "FREE", "HELD", "SLIPS", "BACKWARDS", "CLOSED"))
+    touch, stick = np.array([0, 0, 1, 1, 1], dtype=bool), np.array([0, 1, 0, 1, 0], dtype=bool)
+    assert contact_codes(touch, stick, np.array([0, 1, 0, 1, 1], dtype=bool)).tolist() == [
+        slips, held, closed + slips, closed + held, closed + backwards]
+    codes = np.array([free, held, *(closed + code for code in (free, slips, backwards, held, held))])
+    found = codes_of.contact_states(codes, np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0]))
+    assert found.dtype == np.int8 and found.tolist() == [OPEN, OPEN, SLIP, SLIP, SLIP, STICK, OPEN]
+
+
+def test_a_singular_block_is_named():
+    blocks = np.tile(np.eye(2), (3, 1, 1))
+    blocks[1] = 1.0
+    with pytest.raises(ValueError, match="diagonal block of node 1 is singular"):
+        inverse_blocks(blocks)
+
+
 @pytest.mark.parametrize(("changes", "error", "message"), [
     ({"load": np.zeros(31)}, ValueError, r"load must have shape \(32,\)"),
     ({"unknowns": np.zeros(32, dtype=np.float32)}, TypeError, "unknowns must be a numpy array of float64, got an"),
@@ -186,17 +204,3 @@ def test_bad_arrays(changes, error, message):
         ProjectedGaussSeidel().smooth(problem.system, **given)
 
 
-@every_network
-def test_kernels_without_the_compiler(dim, law, monkeypatch):
-    """Out-of-bounds reads are silent in compiled code: here they raise."""
-    problem = network(dim, law, seed=9)
-
-    def results():
-        w = random_start(problem, 9)
-        smooth(problem, w, 4, omega=1.2, order="symmetric")
-        return w, natural_residual(problem.system, problem.contact, problem.load, w)
-
-    compiled = results()
-    uncompile(monkeypatch, blocks, gauss_seidel, kernels, node_solve, residuals)
-    for plain, expected in zip(results(), compiled, strict=True):
-        np.testing.assert_allclose(plain, expected, atol=1e-12)

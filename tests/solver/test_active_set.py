@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from norms import far as closeness
 from smoother_problems import network
 
 import adaptmg as am
@@ -31,10 +32,6 @@ def grids(name: str) -> am.Hierarchy:
 @cache
 def solved(name: str) -> am.Result:
     return am.solve(grids(name), am.ActiveSet())
-
-
-def closeness(result: am.Result, other: np.ndarray) -> float:
-    return float(np.abs(result.displacement - other).max() / np.abs(other).max())
 
 
 def floating() -> DiscreteProblem:

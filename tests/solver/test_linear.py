@@ -16,7 +16,7 @@ from adaptmg.mesh.structured import structured
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver import factorisation
 from adaptmg.solver.active_set import local_near_nullspace
-from adaptmg.solver.factorisation import condense, graph_coordinates, nested_dissection, node_graph
+from adaptmg.solver.factorisation import condense, nested_dissection, node_graph
 
 
 def bar(divisions: int, problem: am.ContactProblem | None = None) -> DiscreteProblem:
@@ -67,13 +67,6 @@ def test_fill_is_that_of_a_good_order(with_coordinates):
         splu(sparse.csc_array(m), permc_spec=name, diag_pivot_thresh=0.0, options={"SymmetricMode": True}).nnz
         for m, name in ((ordered, "NATURAL"), (matrix, "NATURAL"), (matrix, "MMD_AT_PLUS_A")))
     assert ours < 0.6 * natural and ours < 1.1 * minimum_degree
-
-
-def test_distances_keep_connected_parts_apart():
-    part = sparse.csr_array(np.eye(4, k=1) + np.eye(4, k=-1))
-    distances = graph_coordinates(sparse.csr_array(sparse.block_diag([part, part])))
-    assert distances[:4].max() < distances[4:].min()
-    assert np.ptp(distances[:4, 0]) == 3
 
 
 @pytest.mark.parametrize("linear", [am.Direct(), am.AMG()], ids=["direct", "amg"])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import bar_hierarchy, bar_on_block
+from norms import far as distance
 
 import adaptmg as am
 from adaptmg.problem import step_problem
@@ -49,10 +50,6 @@ def pulled(law: am.problem.Law = am.Coulomb(0.3)) -> am.Hierarchy:  # noqa: B008
         contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
         loads=(am.Pressure("left", 1e6),), supports=(am.Support("top", x=4e-6, y=-1e-5),))
     return am.Hierarchy.uniform(problem, divisions=[(4, 2), (8, 4), (16, 8)])
-
-
-def distance(a: am.Result, b: am.Result) -> float:
-    return np.abs(a.displacement - b.displacement).max() / np.abs(b.displacement).max()
 
 
 def check_step(grids: am.Hierarchy, factors: dict[str, float], before: np.ndarray, result: am.Result) -> None:

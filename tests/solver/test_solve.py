@@ -1,12 +1,20 @@
-"""solve(): records, failure paths, user-defined parts; that all methods agree: tests/agreement."""
+"""solve() and the loop below it: records, what ends it, user-defined parts; that all methods agree: tests/agreement."""
 
-from dataclasses import replace
+import gc
+import weakref
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from made import result_on
 
 import adaptmg as am
+from adaptmg.solver.aggregates import aggregates_of
+from adaptmg.solver.factorisation import condense_coarsest
+from adaptmg.solver.iterate import State, StopTest, iterate
+from adaptmg.solver.record import Run
+from adaptmg.solver.statics import critical_friction
 
 
 @pytest.fixture(scope="module")
@@ -73,25 +81,6 @@ def test_history_is_reported_as_it_goes(bar):
     assert 0 < result.start_work_units < result.work_units
     assert {"setup", "start", "cycles"} <= set(result.timings)
     assert 0 < result.history["seconds"][-1] <= sum(result.timings.values())
-
-
-class Jacobi:
-    """A user-defined smoother: damped, projected, for a frictionless problem."""
-
-    def smooth(self, system, contact, load, unknowns, sweeps=1):
-        normal = system.nodes * system.dim
-        diagonal = system.matrix.diagonal()
-        for _ in range(sweeps):
-            unknowns += 0.5 * (load - system.matrix @ unknowns) / diagonal
-            unknowns[normal] = np.minimum(unknowns[normal], contact.gap)
-        return float(sweeps)
-
-
-def test_a_user_defined_smoother_plugs_in():
-    grids = am.Hierarchy.uniform(am.cases.curved_obstacle(), (4, 8, 16))
-    solver = am.Multigrid(correction=am.Monotone(), smoother=Jacobi(), max_cycles=300, rtol=1e-9)
-    result = am.solve(grids, solver, reference=am.solve(grids, am.ActiveSet(rtol=1e-12)))
-    assert result.history["true_error"][-1] < 1e-8
 
 
 def test_resultants_balance_the_loads(solved):
@@ -163,3 +152,124 @@ def test_a_force_at_a_corner_belongs_to_the_supports_that_hold_it(law, tmp_path)
 def test_bad_input_is_refused(bar, make, error, message):
     with pytest.raises(error, match=message):
         make(bar[0])
+
+
+@pytest.fixture(scope="module")
+def two_levels():
+    return am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
+
+
+class Halving:
+    """Residuals and changes that fall by ``factor``; gives up after ``gives_up`` cycles."""
+
+    def __init__(self, factor=0.5, gives_up=None):
+        self.factor, self.gives_up, self.cycles = factor, gives_up, -1
+
+    def step(self):
+        self.cycles += 1
+        if self.cycles == self.gives_up:
+            return am.Status.CYCLING
+        size = self.factor**self.cycles
+        return State(self.cycles, size, forces=1.0, size=1.0, change=size if self.cycles else None)
+
+
+def test_error_and_residual_end_it():
+    method, stop, run = Halving(), StopTest(1e-3, 100), Run(unit=1)
+    assert iterate(method, stop, run) is am.Status.CONVERGED
+    # with a rate of a half the error that remains is the last change
+    assert method.cycles == 10 and stop.error_estimate == pytest.approx(0.5**10) and stop.rate == pytest.approx(0.5)
+    assert [row["cycle"] for row in run.history] == list(range(11))
+
+
+@pytest.mark.parametrize(("method", "limit", "status", "cycles"), [
+    (Halving(), 4, am.Status.LIMIT, 4), (Halving(gives_up=3), 100, am.Status.CYCLING, 3),
+    (Halving(1.0), 1000, am.Status.STALLED, StopTest.PATIENCE + 1), (Halving(100.0), 100, am.Status.DIVERGED, 7),
+    (Halving(np.nan), 100, am.Status.DIVERGED, 1)])
+def test_what_else_ends_it(method, limit, status, cycles):
+    assert iterate(method, StopTest(1e-3, limit)) is status
+    assert method.cycles == cycles
+
+
+@pytest.mark.parametrize(("last", "status"), [(0.0, am.Status.CONVERGED), (2.0, am.Status.LIMIT)])
+def test_at_the_limit_the_certificate_decides_whatever_the_estimate(last, status):
+    """After a refusal the test asks for more than rtol, and the cycles may end before."""
+    answers = [3.0, last]
+    assert iterate(Halving(), StopTest(1e-3, 11, lambda rtol: answers.pop(0))) is status and not answers
+
+
+@dataclass
+class ActiveSetInDisguise:
+    """A correction with cycles of its own."""
+
+    def method(self, options, hierarchy, run):
+        self.options, self.hierarchy, self.given = options, hierarchy, run
+        return self
+
+    def from_given(self, start):
+        return am.ActiveSet(rtol=self.options.rtol).run(self.hierarchy, self.given, start)
+
+    def from_nested(self, start):
+        assert isinstance(start, am.NestedStart)
+        return replace(self.from_given(None), cycles=1)
+
+
+def test_a_correction_may_bring_cycles_of_its_own(two_levels):
+    correction = ActiveSetInDisguise()
+    exact = am.solve(two_levels, am.ActiveSet(rtol=1e-12)).displacement
+    for solver in (am.Multigrid(correction=correction), am.FullMultigrid(correction=correction)):
+        result = am.solve(two_levels, solver)
+        assert np.abs(result.displacement - exact).max() < 1e-10 * np.abs(exact).max()
+    assert result.cycles == 1
+    # load steps start it again
+    path, expected = (am.solve_path(two_levels, am.LoadPath(default=[0.5, 1.0]), solver)[-1].displacement
+                      for solver in (am.FullMultigrid(correction=correction), am.ActiveSet(rtol=1e-12)))
+    assert np.allclose(path, expected, rtol=1e-8, atol=1e-15)
+    wrong = SimpleNamespace(method=lambda options, hierarchy, run: 5)
+    with pytest.raises(TypeError, match="from_given"):
+        am.solve(two_levels, am.Multigrid(correction=wrong))
+
+
+CASES = {"bar": am.cases.greco_bar, "block": am.cases.greco_block}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_other_laws_and_loads_share_factors_and_aggregates(case):
+    make = CASES[case]
+    grids = am.Hierarchy.uniform(make(), (2, 4))
+    first, other = grids[0].discrete, make(law=am.Coulomb(0.2), top_pressure=1e7)
+    shared = grids.with_problem(other)[0].discrete
+    alone = am.Hierarchy.uniform(other, (2, 4))[0].discrete
+    assert aggregates_of(first) is aggregates_of(shared) is not aggregates_of(alone)
+    assert critical_friction(first) is critical_friction(shared)
+    ours, theirs, fresh = (condense_coarsest(problem) for problem in (first, shared, alone))
+    assert ours.factors is theirs.factors is not fresh.factors
+    assert theirs.full.discrete is shared and not np.array_equal(ours.full.load, theirs.full.load)
+    for part in ("full.load", "full.contact.friction", "full.system.data", "matrix", "problem.load"):
+        a, b = theirs, fresh
+        for name in part.split("."):
+            a, b = getattr(a, name), getattr(b, name)
+        np.testing.assert_array_equal(a, b)
+
+
+def test_nothing_outlives_its_problem():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4))
+    am.solve(grids)
+    gone = [weakref.ref(level.discrete) for level in grids.levels] + [
+        weakref.ref(aggregates_of(grids.finest.discrete)), weakref.ref(condense_coarsest(grids[0].discrete).factors)]
+    del grids
+    gc.collect()
+    assert [one() for one in gone] == [None] * 4
+
+
+@pytest.mark.parametrize("solver", [am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(),
+                                    am.SingleGrid(max_sweeps=5)])
+def test_what_a_solve_needs_is_freed_when_it_returns(solver):
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4))
+    gc.collect()
+    gc.disable()
+    try:
+        am.solve(grids, solver, throw=False)
+        left = [one for one in gc.get_objects() if issubclass(type(one), StopTest | Run)]
+    finally:
+        gc.enable()
+    assert not left

@@ -12,16 +12,14 @@ from saddle import Parts
 from scipy import sparse
 from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
 from smoother_problems import expand
-from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.discrete.discretise import discretise
-from adaptmg.geometry import clipping, location, search
 from adaptmg.geometry.quadrature import simplex_rule
 from adaptmg.mesh import MeshArrays, bisect, graded
 from adaptmg.mesh import structured as structured_mesh
 from adaptmg.multigrid.split_matrix import is_galerkin
-from adaptmg.transfer import galerkin_product, projections, surface_interpolation, with_contact_rows
+from adaptmg.transfer import galerkin_product, surface_interpolation, with_contact_rows
 from adaptmg.transfer.contact_rows import between_levels
 from adaptmg.transfer.galerkin import seen
 from adaptmg.transfer.projections import mass_matrix, mixed_mass
@@ -192,20 +190,6 @@ def test_growing_buffers_change_nothing():
     P = am.PseudoL2().build(coarse, fine)
     np.testing.assert_allclose(P @ coarse.points, fine.points, atol=1e-12)
     assert P.nnz > 2000
-
-
-def test_kernels_without_jit(monkeypatch):
-    def results():
-        for dim in (2, 3):
-            coarse, fine = structured(1, dim), structured(2, dim, 1.3)
-            yield from (kind.build(coarse, fine) for kind in ALL)
-            yield surface_interpolation(coarse, fine, coarse.facets, np.unique(fine.facets))
-        yield am.PseudoL2().build(disk(1), disk(2))
-
-    compiled = [P.toarray() for P in results()]
-    uncompile(monkeypatch, clipping, am.transfer.interpolation, location, projections, search)
-    for plain, expected in zip(results(), compiled, strict=True):
-        np.testing.assert_allclose(plain.toarray(), expected, atol=1e-12)
 
 
 # -- contact rows and relative values -------------------------------------------------------------------------------
