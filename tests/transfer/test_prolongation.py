@@ -266,6 +266,7 @@ def nodal_of(problem, meshes, transfer):
 def test_fields_between_levels(levels, transfer, rows):
     problem, meshes, (coarse, fine) = levels
     P = between_levels(transfer, *meshes, coarse, fine, rows).prolongation
+    assert (P.data != 0).all() and P.has_sorted_indices
     expected = fine.relative(affine_of_each_body(meshes[1]))
     np.testing.assert_allclose(P @ coarse.relative(affine_of_each_body(meshes[0])), expected,
                                atol=1e-11 * np.abs(expected).max())
@@ -286,6 +287,7 @@ def test_rigid_motions_and_the_galerkin_matrix(levels):
         got = prolongation @ coarse.relative(np.ones(meshes[0].points.shape))
         np.testing.assert_allclose(fine.physical(got), 1.0, atol=1e-11)
         assert np.abs(got[fine.contact.nodes]).max() <= 1e-12
+    assert abs(fine.matrix - fine.matrix.T).max() == 0 and fine.matrix.has_sorted_indices
     stiffness = sparse.csr_array(Parts.of(problem, meshes[1]).matrix)
     P = expand(nodal_of(problem, meshes, am.Interpolation()), coarse.dim)
     T = np.column_stack([coarse.physical(unit).ravel() for unit in np.eye(coarse.n_dofs)])
