@@ -55,6 +55,8 @@ class TestContactNodes:
         nodes = contact_data(plane_problem(contact=am.Contact("bottom", plane), supports=()), PLATE)[0]
         np.testing.assert_allclose(nodes.normals, np.tile([[1.0, -1.0]], (5, 1)) / np.sqrt(2))
         np.testing.assert_allclose(nodes.gaps, (3.0 - PLATE.points[nodes.nodes, 0]) / np.sqrt(2))
+        _, behind = am.Plane((0.0, -1.0), (0.0, 2.0)).contact(PLATE.points[:1] - [[0.0, 2.0]], nodes.normals[:1])
+        assert behind.tolist() == [-1.0]
         # rounding is not an overlap
         for gap, interference, least in ((lambda x: np.full(len(x), -1e-14), False, 0.0),
                                          (lambda x: 0.5 - x[:, 0], True, -1.5)):

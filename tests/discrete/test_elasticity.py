@@ -192,16 +192,16 @@ class TestInitialStrain:
         # compatible with the kind: nothing through the thickness in plane strain, anything in plane stress, hoop = rr
         mesh, materials = BOTH[kind.dim], two(kind)
         third = {PlaneStrain: (0.0,), PlaneStress: (5e-3,), Axisymmetric: (1e-3,), Solid: (3e-3,)}[kind]
-        strain = InitialStrain("upper", (1e-3, -2e-3, *third))
+        strains = [InitialStrain("upper", (1e-3, 0.0, *third)), InitialStrain("upper", (0.0, -2e-3, 0.0))]
         sides = {"bottom": "y"} if kind is Axisymmetric else {"bottom": "y", "left": "x"}
         sides = {"bottom": "z", "left": "x", "front": "y"} if kind is Solid else sides
         supports = [Support(f"{body}.{side}", **{c: 0.0}) for body in mesh.bodies for side, c in sides.items()]
-        u = solved(mesh, materials, [strain], supports)
+        u = solved(mesh, materials, strains, supports)
         lower, points = PARTS[kind.dim]["lower"].n_nodes, PARTS[kind.dim]["upper"].points
         origin = points.min(axis=0) * (np.arange(kind.dim) > 0 if kind is Axisymmetric else 1)
         np.testing.assert_allclose(u[lower:], (points - origin) * [1e-3, -2e-3, *third][:kind.dim], atol=1e-15)
         np.testing.assert_allclose(u[:lower], 0.0, atol=1e-30)
-        assert np.abs(full_stress(mesh, materials, u, [strain])).max() < 1e-10 * 7e10 * 2e-3
+        assert np.abs(full_stress(mesh, materials, u, strains)).max() < 1e-10 * 7e10 * 2e-3
         assert np.abs(full_stress(mesh, materials, u)).max() > 1e-2 * 7e10 * 2e-3
 
     def test_linear_in_position_is_exact(self):

@@ -8,11 +8,14 @@ from adaptmg.smoother import compiling
 
 __all__ = ["uncompile"]
 
+PREFETCH = compiling.prefetch
+
+
 def uncompile(monkeypatch: pytest.MonkeyPatch, *modules: ModuleType) -> None:
     """Put the Python function in the place of every compiled one in these modules, imported ones included."""
     for module in modules:
         for name, value in vars(module).copy().items():
             if hasattr(value, "py_func"):
                 monkeypatch.setattr(module, name, value.py_func)
-            elif value is compiling.prefetch:
+            elif value is PREFETCH:
                 monkeypatch.setattr(module, name, compiling._ignored)

@@ -15,6 +15,7 @@ from adaptmg.mesh import check_mesh, from_step, graded, quality
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
 from adaptmg.mesh.netgen_solid import built_shape, check_volume, solid_mesh
 from adaptmg.mesh.soundness import check_overlap
+from adaptmg.mesh.surfaces import surface_through
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
 
@@ -136,6 +137,34 @@ def test_a_small_draft_is_refined_to_the_sizes_and_its_nodes_lie_on_the_faces(so
     assert quality(mesh).min_angle > 10
     shape = shape_of(solid)
     assert mesh.volumes.sum() == pytest.approx(shape.volume * shape.scale**3, rel=0.02)
+
+
+def _patch(place):
+    """Points and unit normals of a parametrised surface, by central differences of complete accuracy."""
+    u, v = (a.ravel() for a in np.meshgrid([0.1, 0.6, 1.1, 1.6], [0.02, 0.09, 0.15]))
+    along, across = ((place(u + a, v + b) - place(u - a, v - b)) for a, b in ((1e-3, 0), (0, 1e-3)))
+    normals = np.cross(along, across)
+    return place(u, v), normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
+@pytest.mark.parametrize(("place", "known"), [
+    (lambda u, v: np.stack([1 + u, 2 + v, u + v], axis=1), True),
+    (lambda u, v: np.stack([3 * np.cos(u), 3 * np.sin(u), 7 + v], axis=1), True),
+    (lambda u, v: np.stack([(1 + v) * np.cos(u), (1 + v) * np.sin(u), 2 * v - 5], axis=1), True),
+    (lambda u, v: np.stack([np.cos(u) * np.cos(v), 4 + np.sin(u) * np.cos(v), np.sin(v)], axis=1), True),
+    (lambda u, v: np.stack([(2 + np.cos(v)) * np.cos(u), (2 + np.cos(v)) * np.sin(u), np.sin(v)], axis=1), True),
+    (lambda u, v: np.stack([np.cos(u), 2 * np.sin(u), v], axis=1), False),
+    (lambda u, v: np.stack([u, v, u * v], axis=1), False),
+    (lambda u, v: np.stack([u, v, np.full(len(u), np.nan)], axis=1), False),
+], ids=["plane", "cylinder", "cone", "sphere", "torus", "elliptic", "saddle", "nan"])
+def test_surfaces_are_found_from_points_and_normals(place, known):
+    points, normals = _patch(place)
+    surface = surface_through(points, normals)
+    assert (surface is not None) == known
+    if known:
+        gaps, gradients = surface.gaps(points + 1e-3 * normals)
+        np.testing.assert_allclose(np.abs(gaps), 1e-3, rtol=1e-5)
+        np.testing.assert_allclose(np.abs((gradients * normals).sum(axis=1)), 1, rtol=1e-6)
 
 
 def test_faces_of_an_unknown_kind_are_left_to_netgen(tmp_path, caplog):

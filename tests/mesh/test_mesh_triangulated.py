@@ -177,6 +177,7 @@ def test_dips_and_jumps_of_a_size_function_are_met():
         return np.min([0.002 + 0.3 * np.maximum(np.linalg.norm(x - p, axis=1) - 0.06, 0) for p in places], axis=0)
 
     mesh = sized(SQUARE, dips, 0.2)
+    assert sized(SQUARE, lambda x: np.ones(len(x)), 0.1).element_sizes.max() < 0.2
     for place in places:
         assert np.sort(np.linalg.norm(mesh.points - place, axis=1))[1] < 0.004
     # holes in the field, far narrower than the elements around them: seen at nodes and centroids, half of them are met
