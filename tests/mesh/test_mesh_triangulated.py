@@ -9,7 +9,7 @@ import pytest
 import adaptmg as am
 from adaptmg._numba import kernel
 from adaptmg.geometry import predicates
-from adaptmg.mesh import check_mesh, delaunay, graded, grading, quality, sized, triangulate
+from adaptmg.mesh import check_mesh, graded, grading, quality, sized, triangulate
 from adaptmg.mesh.delaunay import Untriangulated
 from adaptmg.mesh.netgen_plane import equilateral_sizes
 from adaptmg.mesh.triangulate import triangulated
