@@ -47,12 +47,27 @@ def run(method: str, levels: int, finest: int) -> dict:
     return measured(chain(finest, levels), METHODS[method], exact(finest), TARGET)
 
 
+def joint(step: am.Result) -> pd.DataFrame:
+    """The contact nodes of the joint, from the bore outwards."""
+    rows = step.contact.table()
+    return rows[rows["pair"].str.startswith("upper.joint")].sort_values("x [m]")
+
+
+def open_to(step: am.Result) -> float:
+    """Radius up to which the joint is open, m: half-way between the first node that touches and the one before."""
+    rows = joint(step)
+    first = int(np.argmax(rows["state"] != "open"))
+    return float(rows["x [m]"].iloc[max(first - 1, 0):first + 1].mean())
+
+
 def rising(finest: int) -> tuple[am.PathResult, np.ndarray, float]:
     """The steps of the rising pressure, the sealing pressures, and the pressure at which the joint leaks, MPa."""
     grids, flanges = chain(finest, finest + 1), am.cases.Flanges()
-    steps = am.solve_path(grids, am.cases.junction_path(grids.problem, PRESSURES))
-    sealing = np.array([am.cases.sealing_pressure(step, flanges) / 1e6 for step in steps])
     pressures = np.array([0.0, *PRESSURES]) / 1e6
+    factors = 1e6 * pressures / grids.problem.reference["pressure"]
+    steps = am.solve_path(grids, am.LoadPath(dict.fromkeys(("upper.bore", "lower.bore", "upper.pipe"), factors)))
+    sealing = np.array([joint(step)["pressure [Pa]"][joint(step)["x [m]"] <= flanges.inside_bolts].max() / 1e6
+                        for step in steps])
     margin = sealing - pressures
     at = [int(np.flatnonzero(margin <= 0)[0]) - back for back in (0, 1)]
     return steps, sealing, float(np.interp(0.0, margin[at], pressures[at]))
@@ -73,11 +88,11 @@ def study(out: Output) -> None:
     scatter = f"{leak:.2g} MPa ({coarser:.2f} and {leak:.2f} on meshes of {1e3 * SIZES[finest - 1]:g} and "
     scatter += f"{1e3 * SIZES[finest]:g} mm)"
     rows = pd.DataFrame({
-        "pressure": pressures / 1e6, "bolt force": [am.cases.bolt_force(step) / 1e6 for step in steps],
+        "pressure": pressures / 1e6, "bolt force": [step.resultant("upper.seat").force[1] / -1e6 for step in steps],
         "joint force": [step.resultant("upper.joint").force[1] / 1e6 for step in steps],
         "thrust": [flanges.thrust(p) / 1e6 for p in pressures],
-        "opening": [1e6 * am.cases.joint_opening(step) for step in steps],
-        "open to": [1e3 * am.cases.open_to(step) for step in steps],
+        "opening": [1e6 * joint(step)["gap [m]"].iloc[0] for step in steps],
+        "open to": [1e3 * open_to(step) for step in steps],
         "sealing pressure": sealing, "cycles": [step.cycles for step in steps]})
     out.table("pressure", rows, "Bolted junction under rising pressure", f"It leaks at {scatter}. Joint force = "
               "bolt force - thrust of the ends.", formats={"pressure": ".2f", "opening": ".2f", "open to": ".1f",

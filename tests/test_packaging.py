@@ -73,8 +73,7 @@ def _public() -> dict[str, object]:
 
 #: need a file, a solved case or a machine's processes that no short example has
 WITHOUT_EXAMPLE = {
-    "cases.TransitionField", "cases.bolt_force", "cases.joint_opening",
-    "cases.line_contact_meshes", "cases.open_to", "cases.pressure_fit", "cases.sealing_pressure",
+    "cases.TransitionField",
     "mesh.from_step", "mesh.onto_domain", "mesh.step_names", "mesh.to_ngsolve", "mesh.with_source",
     "study.local_cluster"}
 

@@ -7,36 +7,21 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from adaptmg import _checks as checks
-from adaptmg.cases.blocks import incline, leaning_strut, patch_mesh, two_block_patch
-from adaptmg.cases.bolted_junction import (
-    Flanges,
-    bolt_force,
-    bolted_junction,
-    joint_opening,
-    junction_path,
-    open_to,
-    sealing_pressure,
-)
-from adaptmg.cases.cattaneo import PartialSlip, cattaneo, cattaneo_path
+from adaptmg.cases.blocks import incline, leaning_strut, two_block_patch
+from adaptmg.cases.bolted_junction import Flanges, bolted_junction
+from adaptmg.cases.cattaneo import PartialSlip, cattaneo
 from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
 from adaptmg.cases.dovetail import dovetail
 from adaptmg.cases.flat_punch import PunchPressure, flat_punch
 from adaptmg.cases.greco import curved_obstacle, greco_bar, greco_block, upset_block
-from adaptmg.cases.hertz import (
-    LineContact,
-    PointContact,
-    hertz_cylinder,
-    hertz_sphere,
-    line_contact_meshes,
-    pressure_fit,
-)
+from adaptmg.cases.hertz import LineContact, PointContact, hertz_cylinder, hertz_sphere
 from adaptmg.problem import ContactProblem
 
 __all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointContact", "PunchPressure", "TransitionField",
-           "bolt_force", "bolted_junction", "cattaneo", "cattaneo_path", "coulomb_transition", "curved_obstacle",
-           "dovetail", "flat_punch", "get", "greco_bar", "greco_block", "hertz_cylinder",
-           "hertz_sphere", "incline", "joint_opening", "junction_path", "leaning_strut", "line_contact_meshes", "names",
-           "open_to", "patch_mesh", "pressure_fit", "sealing_pressure", "two_block_patch", "upset_block"]
+           "bolted_junction", "cattaneo", "coulomb_transition", "curved_obstacle", "dovetail", "flat_punch", "get",
+           "greco_bar", "greco_block", "hertz_cylinder", "hertz_sphere", "incline", "leaning_strut", "names",
+           "two_block_patch", "upset_block"]
+
 
 @dataclass(frozen=True)
 class Case:

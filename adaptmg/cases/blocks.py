@@ -12,7 +12,6 @@ which P1 elements and a mortar method reproduce to rounding if friction can bear
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -40,9 +39,6 @@ from adaptmg.problem import (
     Tresca,
 )
 
-if TYPE_CHECKING:
-    from adaptmg.mesh.arrays import MeshArrays
-
 _STEEPEST = 30.0
 
 
@@ -53,7 +49,7 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
 
     Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons, or
     their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the tangential one)
-    on the interface, Pa, which the law must bear. For meshes see :func:`patch_mesh`.
+    on the interface, Pa, which the law must bear.
 
     Parameters
     ----------
@@ -143,31 +139,6 @@ def _held(dim: int, sloping: bool, pressure: float, side: float) -> tuple[list[P
             supports.append(Support(f"{body}.{depth[0]}", **{"z" if sloping else "y": 0.0}))
             loads += [Pressure(f"{body}.{depth[1]}", side)] if side else []
     return loads, supports
-
-
-def patch_mesh(problem: ContactProblem, cells: int = 4, *, matching: bool = False) -> MeshArrays:
-    """Return a mesh of :func:`two_block_patch` with ``cells`` >= 1 along the width of the upper block.
-
-    With ``matching``, for flat blocks only, the nodes of both blocks meet on the interface.
-
-    Examples
-    --------
-    >>> problem = am.cases.two_block_patch()
-    >>> am.cases.patch_mesh(problem, 2).dim
-    2
-    """
-    from adaptmg.mesh import graded, structured
-
-    cells = checks.integer("cells", cells, 1)
-    checks.flag("matching", matching)
-    domain = problem.domain
-    other = cells if matching else cells + 1 + cells // 3
-    if isinstance(domain.parts["upper"], Rectangle | Box):
-        return structured(domain, {"upper": cells, "lower": other})
-    if matching:
-        raise ValueError("matching=True is for flat blocks")
-    width = float(domain.upper[0] - domain.lower[0])
-    return graded(domain, {"upper": width / cells, "lower": width / other})
 
 
 _GRAVITY = 9.80665

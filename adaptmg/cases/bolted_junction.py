@@ -17,13 +17,11 @@ strain, which without friction under the heads (the default in 2D) does not reac
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.problem import (
     Assembly,
@@ -35,7 +33,6 @@ from adaptmg.problem import (
     Frictionless,
     InitialStrain,
     Law,
-    LoadPath,
     Polygon,
     Pressure,
     Solid,
@@ -43,10 +40,6 @@ from adaptmg.problem import (
     Traction,
 )
 from adaptmg.problem.solid_domains import Cut, Cylinder, Fuse, Revolution, SolidDomain
-
-if TYPE_CHECKING:
-    from adaptmg.solver.contact_result import ContactResult
-    from adaptmg.solver.result import Result
 
 _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
            "nothing published stands behind them.")
@@ -78,9 +71,11 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
     """Two vessels bolted together, under internal pressure.
 
     Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first contact
-    pair is the joint. ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N); with the
-    default parameters in 2D also ``values`` by mesh convergence: ``open_to``, ``slip_to``, ``peak_at`` (radii, m),
-    ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N; of the ring).
+    pair is the joint. Along a load path the bolts are tightened before the vessels are filled if the loads on
+    "upper.bore", "lower.bore" and "upper.pipe" begin with 0. ``reference`` holds ``remark``, ``flanges``, ``pressure``
+    (Pa) and ``thrust`` (N); with the default parameters in 2D also ``values`` by mesh convergence: ``open_to``,
+    ``slip_to``, ``peak_at`` (radii, m), ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N;
+    of the ring).
 
     Parameters
     ----------
@@ -360,85 +355,3 @@ def _bolt_solid(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
         head = Cylinder((x, y, z), (0.0, 0.0, axis), 0.5 * f.head_diameter, f.head_height)
         solid = Fuse(solid, head, {"b.bottom": name, "b.top": "tip"})
     return solid
-
-
-_JOINT = "upper.joint"
-_HEAD = ".upper_head"
-# number of modelled sectors in the whole
-_SECTORS = {2: 1, 3: 4}
-# nodes whose radii differ by less than this share of the largest lie on one circle
-_CIRCLE = 1e-6
-
-
-def junction_path(problem: ContactProblem, pressures: Sequence[float]) -> LoadPath:
-    """Return the load history: the bolts are tightened in the first step, then follow internal ``pressures`` (Pa).
-
-    >>> path = am.cases.junction_path(am.cases.bolted_junction(), [1e6, 2e6, 4e6])      # for am.solve_path
-    """
-    full = problem.reference.get("pressure") if isinstance(problem, ContactProblem) else None
-    if full is None:
-        raise TypeError(f"problem must be one from bolted_junction, got {problem!r}")
-    if full == 0:
-        raise ValueError("problem has no pressure to scale: give bolted_junction one other than 0")
-    values = np.append(0.0, check_arrays.vector("pressures", pressures)) / full
-    return LoadPath(dict.fromkeys(("upper.bore", "lower.bore", "upper.pipe"), values))
-
-
-def bolt_force(result: Result) -> float:
-    """Return the force of all bolts around the circumference, N: that of their upper heads on the flange."""
-    c = _contact(result)
-    heads = [k for k, name in enumerate(c.names) if name.endswith(_HEAD)]
-    if not heads:
-        raise ValueError("this junction has no bolts (bolt='traction'): their force is preload")
-    return _SECTORS[result.dim] * float(c.force_n[np.isin(c.boundary, heads)].sum())
-
-
-def joint_opening(result: Result) -> float:
-    """Return the opening of the joint at the bore, m: the mean normal gap of the contact nodes there."""
-    radii, joint = _joint(result)
-    at_bore = radii <= radii.min() + _CIRCLE * radii.max()
-    return float(result.contact.gap[joint][at_bore].mean())
-
-
-def open_to(result: Result) -> float:
-    """Return the radius up to which an axisymmetric joint is open, m, half-way between two nodes.
-
-    It is that of the bore where the joint is closed there, and that of the rim where nothing touches.
-    """
-    from adaptmg.smoother.system import OPEN
-
-    radii, joint = _joint(result, axisymmetric="open_to")
-    touching = radii[result.contact.state[joint] != OPEN]
-    if not touching.size:
-        return float(radii.max())
-    first = touching.min()
-    further_in = radii[radii < first * (1 - _CIRCLE)]
-    return float(0.5 * (first + further_in.max())) if further_in.size else float(first)
-
-
-def sealing_pressure(result: Result, flanges: Flanges) -> float:
-    """Return the largest contact pressure of an axisymmetric joint between the bore and the bolt holes, Pa.
-
-    The joint is tight as long as it exceeds the pressure of the fluid.
-    """
-    radii, joint = _joint(result, axisymmetric="sealing_pressure")
-    inside = joint[radii <= flanges.inside_bolts]
-    return float(result.contact.pressure[inside].max())
-
-
-def _contact(result: Result) -> ContactResult:
-    from adaptmg.solver.result import Result
-
-    if _JOINT not in checks.instance("result", result, Result).contact.names:
-        raise ValueError(f"result is not one of a bolted junction: its contact boundaries are {result.contact.names}")
-    return result.contact
-
-
-def _joint(result: Result, axisymmetric: str = "") -> tuple[np.ndarray, np.ndarray]:
-    """Radii (n,), m, and positions (n,) of the contact nodes of the joint; the name of a measure for 2D only."""
-    c = _contact(result)
-    if axisymmetric and result.dim != 2:
-        raise ValueError(f"{axisymmetric} is for the axisymmetric junction; in 3D it changes along the circumference")
-    joint = np.flatnonzero(c.boundary == c.names.index(_JOINT))
-    x = c.x[joint]
-    return (x[:, 0] if result.dim == 2 else np.hypot(x[:, 0], x[:, 1])), joint

@@ -28,7 +28,6 @@ from adaptmg.problem import (
     ContactProblem,
     Coulomb,
     Law,
-    LoadPath,
     Outline,
     PlaneStrain,
     Polygon,
@@ -96,9 +95,10 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
 
     Notes
     -----
-    Solved in one step under both loads the answer is the same to rounding as along :func:`cattaneo_path`: the slip
-    under the normal load alone continues under the tangential one. Bodies of finite size are strained along the surface
-    by stresses of the order of P/R, a / (mu R) of the largest traction, which moves the strip that sticks.
+    Solved in one step under both loads the answer is the same to rounding as along the path
+    ``LoadPath({"lower.bottom": 1.0, "upper.top": [0.0, 1.0]})``: the slip under the normal load alone continues under
+    the tangential one. Bodies of finite size are strained along the surface by stresses of the order of P/R, a / (mu R)
+    of the largest traction, which moves the strip that sticks.
 
     Examples
     --------
@@ -123,18 +123,6 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
                Traction("upper.top", (tangential / (2 * radius), 0.0))),
         supports=(Support("upper.top", y=0.0), Support("lower.left", x=0.0), Support("lower.right", x=0.0)),
         reference=reference)
-
-
-def cattaneo_path(steps: int = 1) -> LoadPath:
-    """Return the load history: P in one step, then Q in ``steps`` equal steps.
-
-    Examples
-    --------
-    >>> len(am.cases.cattaneo_path(3)) > 3
-    True
-    """
-    steps = checks.integer("steps", steps, 1)
-    return LoadPath({"lower.bottom": 1.0, "upper.top": np.arange(steps + 1) / steps})
 
 
 def _half_cylinder(radius: float, a: float) -> Outline:

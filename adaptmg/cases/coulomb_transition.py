@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,12 +66,12 @@ def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign:
                          f"{checks.described(law)}")
     pressure = checks.quantity("pressure", pressure, positive=True)
     field = _field(kind, sign == "+", float(law.friction), pressure, PlaneStrain(young=young, poisson=poisson))
-    moved = [DisplacementComponent(field, k) for k in (0, 1)]
+    moved = [partial(_displaced, field, k) for k in (0, 1)]
     return ContactProblem(
         name=f"Coulomb transition, slip and {kind}, {sign}", material=field.material,
         domain=Rectangle(width=2.0, height=1.0, origin=(-1.0, 0.0)),
         contact=Contact("bottom", Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
-        loads=tuple(Traction(side, (0.0, TractionComponent(field, normal, 1)))
+        loads=tuple(Traction(side, (0.0, partial(_sheared, field, normal)))
                     for side, normal in (("left", -1.0), ("right", 1.0))),
         supports=(Support("top", x=moved[0], y=moved[1]), Support("left", x=moved[0]), Support("right", x=moved[0])),
         reference={"quantity": "displacement, m", "field": field, "exponent": field.exponent, "transition": 0.0,
@@ -180,29 +181,14 @@ class TransitionField:
                 + 2 * self.material.shear_modulus * np.einsum("...ij,...ij->...", strain, strain))
 
 
-@dataclass(frozen=True)
-class DisplacementComponent:
-    """A component of a field's displacement, for a Support."""
-
-    field: TransitionField
-    component: int
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Return values (n,), m."""
-        return self.field.displacement(points)[:, self.component]
+def _displaced(field: TransitionField, component: int, points: np.ndarray) -> np.ndarray:
+    """A component of the displacement (n,), m, for a Support."""
+    return field.displacement(points)[:, component]
 
 
-@dataclass(frozen=True)
-class TractionComponent:
-    """A component of sigma n on a side with the normal (normal, 0), for a Traction."""
-
-    field: TransitionField
-    normal: float
-    component: int
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Return values (n,), Pa."""
-        return self.normal * self.field.stress(points)[:, (0, 2)[self.component]]
+def _sheared(field: TransitionField, normal: float, points: np.ndarray) -> np.ndarray:
+    """The shear traction (n,), Pa, on a side with the normal (normal, 0), for a Traction."""
+    return normal * field.stress(points)[:, 2]
 
 
 def _complex(points: np.ndarray) -> np.ndarray:

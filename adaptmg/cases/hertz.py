@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -39,9 +39,6 @@ from adaptmg.problem import (
     Support,
 )
 from adaptmg.problem.solid_domains import Revolution
-
-if TYPE_CHECKING:
-    from adaptmg.mesh.arrays import MeshArrays
 
 # the largest half-width over the smallest radius
 _LARGEST = 0.1
@@ -156,8 +153,8 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
     """A cylinder on a block, or on another cylinder; plane strain, one half by symmetry.
 
     Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``half_width`` (m), ``peak``
-    (Pa), ``closed_form`` (:class:`LineContact`), ``sources`` and ``remark``. For meshes see
-    :func:`line_contact_meshes`.
+    (Pa), ``closed_form`` (:class:`LineContact`), ``sources`` and ``remark``. Meshes should be fine at the origin
+    (:class:`adaptmg.SizeNear`).
 
     Parameters
     ----------
@@ -262,83 +259,3 @@ def on_circle(radius: float, contact: float) -> tuple[float, float]:
     """Return the point of the circle on the origin at x = contact, at most at 45 degrees."""
     turn = math.asin(min(contact / radius, math.sqrt(0.5)))
     return radius * math.sin(turn), 2 * radius * math.sin(0.5 * turn)**2
-
-
-# the least number of rounds of Netgen on the finest mesh beyond those that reach its smallest size, and the largest
-_CLOSER, _MOST = 1, 8
-# largest edge over grading and extent
-_COARSE = 0.65
-
-
-def line_contact_meshes(problem: ContactProblem, *, finest: float | None = None, levels: int | None = None,
-                        grading: float | None = None) -> list[MeshArrays]:
-    """Independent meshes for a hierarchy, coarse to fine, refined around the contact at the origin.
-
-    From mesh to mesh all edges are halved. Their growth is limited by 1 only, so that a coarse mesh is nowhere finer
-    than the next: else some coarse functions would be seen by no fine node.
-
-    Parameters
-    ----------
-    problem : ContactProblem
-        :func:`hertz_cylinder`, :func:`hertz_sphere` or :func:`~adaptmg.cases.cattaneo.cattaneo`.
-    finest : float, optional
-        Edge length within 1.3 half-widths of the middle over the half-width on the finest mesh, above 0 and at most
-        0.5; default 1/40, in 3D 1/6.
-    levels : int, optional
-        Number of meshes, >= 1; on the coarsest, ``finest * 2**(levels - 1)`` is at most 1. Default 5, in 3D 3.
-    grading : float, optional
-        Growth of the edge length per distance on the finest mesh; twice as much on each coarser one, up to 1 on the
-        coarsest. Default 0.06, in 3D 0.25.
-    """
-    from adaptmg.mesh import SizeNear, sized
-    from adaptmg.mesh.netgen_guard import MAX_NODES
-
-    default_finest, default_levels, default_grading = (1 / 40, 5, 0.06) if problem.dim == 2 else (1 / 6, 3, 0.25)
-    finest = checks.positive("finest", default_finest if finest is None else finest)
-    levels = checks.integer("levels", default_levels if levels is None else levels, 1)
-    grading = checks.positive("grading", default_grading if grading is None else grading)
-    if not finest <= 0.5:
-        raise ValueError(f"finest must be at most 0.5 of the half-width, got {finest!r}")
-    if "half_width" not in problem.reference or problem.domain is None:
-        raise ValueError(f"problem {problem.name!r} has no half_width in its reference, or no domain: take a case of "
-                         "Hertz")
-    for name, value in (("finest", finest), ("grading", grading)):
-        if not value * 2**(levels - 1) <= 1 + 1e-9:
-            raise ValueError(f"{name} * 2**(levels - 1) must be at most 1, got {value * 2**(levels - 1):.3g}: take "
-                             f"fewer levels or a smaller {name}")
-    a, parts = problem.reference["half_width"], problem.domain.parts.values()
-    extent, meshes = float(max(np.max(part.upper - part.lower) for part in parts)), []
-    # a quarter of the sizes around the middle, before Netgen works for hours
-    r = np.geomspace(1e-3 * a, extent, 1000)
-    h = np.minimum(finest * a + grading * np.maximum(r - 1.3 * a, 0.0), _COARSE * grading * extent)
-    nodes = float(np.sum(np.diff(r) * ((np.pi / 2) * r**(problem.dim - 1) / h**problem.dim)[1:]))
-    if not nodes <= MAX_NODES[problem.dim]:
-        raise ValueError(f"finest and grading must be larger: {finest:g} and {grading:g} ask for about {nodes:.1g} "
-                         f"nodes, {MAX_NODES[problem.dim]:.0e} are possible")
-    for level in reversed(range(levels)):
-        scale = 2.0**level
-        steep = min(1.0, grading * scale)
-        near, most = finest * a * scale, _COARSE * steep * extent
-        deep = max(0, math.ceil(math.log(most / near / 16, 8)))
-        # rounds on coarse meshes cost little, and their few elements follow the field less closely
-        rounds = min(2 + deep + _CLOSER + 2 * level, max(_MOST, 2 + deep))
-        field = SizeNear([(0.0,) * problem.dim], size=near, radius=1.3 * a, grading=steep)
-        meshes.append(sized(problem.domain, field, most, rounds, grading=steep, mesher="netgen"))
-    return meshes
-
-
-def pressure_fit(x: np.ndarray, pressure: np.ndarray, half_width: float, share: float = 0.8) -> tuple[float, float]:
-    r"""Return half-width (m) and peak (Pa) of the Hertzian pressure that fits nodal pressures (n,), Pa, best.
-
-    :math:`p^2 = p_0^2 - (p_0/a)^2 x^2` is a least-squares line in :math:`x^2` through the nodes at distances ``x``
-    (n,), m, from the middle within a ``share`` of the expected ``half_width``.
-    """
-    x, pressure = np.asarray(x, dtype=np.float64), np.asarray(pressure, dtype=np.float64)
-    inside = np.abs(x) < share * half_width
-    if inside.sum() < 3:
-        raise ValueError(f"only {inside.sum()} nodes lie within {share:g} of the half-width {half_width:g} m: refine "
-                         "the mesh near contact")
-    slope, square = np.polyfit(x[inside]**2, pressure[inside]**2, 1)
-    if not (slope < 0 and square > 0):
-        raise ValueError("the pressures do not fall from the middle outwards: there is no Hertzian pressure to fit")
-    return math.sqrt(square / -slope), math.sqrt(square)

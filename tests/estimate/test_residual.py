@@ -52,7 +52,7 @@ def test_where_the_solution_is_exact_nothing_is_estimated_and_both_sides_bear_th
         grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
     else:
         problem = am.cases.two_block_patch(**options)
-        grids = am.Hierarchy.from_meshes(problem, [am.cases.patch_mesh(problem, n) for n in (2, 4)])
+        grids = am.Hierarchy.graded(problem, (0.05, 0.03))
     result = am.solve(grids, am.FullMultigrid(rtol=1e-11))
     for indicator in (am.Residual(), am.Recovery()):
         assert indicator.indicate(grids, result).relative < 1e-7

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from hertz_meshes import contact_meshes
 from made import cube, result_on, same, square
 from made_bodies import two_bodies
 from simplex_meshes import random_box
@@ -160,7 +161,7 @@ def answers(result: am.Result) -> list[object]:
 def test_hertz_contact_and_the_pressure_below_it(case, finest, tmp_path):
     """Half a model: half the width and force of a line; of an axisymmetric body forces and areas of the whole ring."""
     problem, line = case(), case is cases.hertz_cylinder
-    grids = am.Hierarchy.from_meshes(problem, cases.line_contact_meshes(problem, finest=finest, levels=2, grading=0.2))
+    grids = am.Hierarchy.from_meshes(problem, contact_meshes(problem, finest, 2, 0.2))
     result, form = am.solve(grids), problem.reference["closed_form"]
     a, p0 = form.half_width, form.peak
     half, area, force, unit = (a / 2, a, 0.5 * form.load, "N/m") if line else (a, np.pi * a**2, form.load, "N")
