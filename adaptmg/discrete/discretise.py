@@ -166,9 +166,8 @@ def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
     return old.posing(**parts)
 
 
-def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem, at: np.ndarray | None = None
-             ) -> np.ndarray:
-    motions = rigid_motions(mesh, axisymmetric, at)
+def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) -> np.ndarray:
+    motions = rigid_motions(mesh, axisymmetric)
     motions.flags.writeable = False
     return motions
 

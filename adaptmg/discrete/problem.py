@@ -258,14 +258,6 @@ class DiscreteProblem(Unknowns):
         """Number of nodes."""
         return self.n_dofs // self.dim
 
-    def near_nullspace_at(self, nodes: np.ndarray) -> np.ndarray | None:
-        """Return the rows (n, dim, k) of ``near_nullspace`` at nodes, without the others if it is not made yet."""
-        modes = self.__dict__["near_nullspace"]
-        if isinstance(modes, OnDemand) and self.coupling is None:
-            return modes.make(self, nodes).reshape(len(nodes), self.dim, -1)
-        modes = self.near_nullspace
-        return None if modes is None else modes.reshape(self.n_nodes, self.dim, -1)[nodes]
-
 
 #: makes a function compute once for all problems that share matrix, fixed dofs, contact nodes and normals: those of
 #: :meth:`DiscreteProblem.posing`. Load, law, prescribed values and slips must not matter to it.
@@ -300,8 +292,8 @@ def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:
     return problem.coupling.relative(modes.make(problem))
 
 
-def _own_modes(problem: DiscreteProblem, at: np.ndarray | None = None) -> np.ndarray:
-    return rigid_body_modes(problem.coordinates, at)
+def _own_modes(problem: DiscreteProblem) -> np.ndarray:
+    return rigid_body_modes(problem.coordinates)
 
 
 DiscreteProblem.near_nullspace = made_on_demand("near_nullspace", "Rigid-body modes (n_dofs, k), or None.")

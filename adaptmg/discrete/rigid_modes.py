@@ -14,12 +14,11 @@ from adaptmg._blas import one_blas_thread
 from adaptmg.mesh.arrays import MeshArrays
 
 
-def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False, at: np.ndarray | None = None) -> np.ndarray:
+def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
     """Orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an uncoupled problem.
 
     Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry (x = r, y = z), zero outside the body, in the order of
-    ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count as one. ``at``: the rows of these
-    nodes.
+    ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count as one.
     """
     columns = []
     for nodes in _nodes_of_pieces(mesh):
@@ -27,13 +26,13 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False, at: np.ndarray |
             modes = np.zeros((len(nodes), 2, 1))
             modes[:, 1] = 1 / np.sqrt(len(nodes))
         elif len(nodes) == mesh.n_nodes:
-            return rigid_body_modes(mesh.points, at)
+            return rigid_body_modes(mesh.points)
         else:
             modes = rigid_body_modes(mesh.points[nodes]).reshape(len(nodes), mesh.dim, -1)
         column = np.zeros((mesh.n_nodes, mesh.dim, modes.shape[2]))
         column[nodes] = modes
         columns.append(column.reshape(mesh.points.size, -1))
-    return _rows(np.hstack(columns), mesh.dim, at)
+    return np.hstack(columns)
 
 
 def _nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
@@ -49,13 +48,9 @@ def _nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
     return [np.flatnonzero(labels[n_bodies:] == piece) for piece in pieces]
 
 
-def _rows(modes: np.ndarray, dim: int, at: np.ndarray | None) -> np.ndarray:
-    return modes if at is None else modes.reshape(-1, dim, modes.shape[1])[at].reshape(-1, modes.shape[1])
-
-
 @one_blas_thread()
-def rigid_body_modes(points: np.ndarray, at: np.ndarray | None = None) -> np.ndarray:
-    """Rigid-body modes about the centroid, orthonormal; the rows of the points ``at``."""
+def rigid_body_modes(points: np.ndarray) -> np.ndarray:
+    """Rigid-body modes about the centroid, orthonormal."""
     n, dim = points.shape
     # by coordinate, each in one piece: several times faster than point by point
     x = np.ascontiguousarray(points.T)
@@ -66,9 +61,7 @@ def rigid_body_modes(points: np.ndarray, at: np.ndarray | None = None) -> np.nda
     plain = triangle is None  # points on a line: by reflections
     if plain:
         triangle = np.eye(len(planes))
-    elif at is not None:
-        x = x[:, at]
-    modes = np.zeros((x.shape[1], dim, dim + len(planes)))
+    modes = np.zeros((n, dim, dim + len(planes)))
     for k in range(dim):
         modes[:, k, k] = 1.0 if plain else 1 / np.sqrt(n)
     for k in range(len(planes)):
@@ -77,7 +70,7 @@ def rigid_body_modes(points: np.ndarray, at: np.ndarray | None = None) -> np.nda
                 modes[:, a, dim + k] -= share * x[b]
                 modes[:, b, dim + k] += share * x[a]
     modes = modes.reshape(-1, modes.shape[2])
-    return _rows(np.linalg.qr(modes)[0], dim, at) if plain else modes
+    return np.linalg.qr(modes)[0] if plain else modes
 
 
 def _triangle(moments: np.ndarray, planes: tuple[tuple[int, int], ...]) -> np.ndarray | None:

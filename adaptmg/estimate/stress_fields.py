@@ -30,7 +30,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, facet_keys
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.examine import energy_norm, euclidean_norm
@@ -121,11 +121,8 @@ class Neighbours:
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
     """Neighbours in a mesh: two facets of elements with the same nodes follow each other when sorted."""
-    k, dim, n = mesh.dim + 1, mesh.dim, mesh.n_nodes
-    sides = np.sort(mesh.elements[:, OPPOSITE[dim]].reshape(-1, dim), axis=1).astype(np.int64)
-    facets = np.sort(mesh.facets, axis=1).astype(np.int64)
-    numbers = n ** np.arange(dim)[::-1]
-    keys, own = sides @ numbers, facets @ numbers
+    k, n = mesh.dim + 1, mesh.n_nodes
+    keys, own = facet_keys(element_facets(mesh.elements).reshape(-1, mesh.dim), n), facet_keys(mesh.facets, n)
     order = np.argsort(keys)
     keys = keys[order]
     same = np.flatnonzero(keys[1:] == keys[:-1])

@@ -33,21 +33,6 @@ def leaf_range(node, n_leaves, n_simplices):
 
 
 @kernel
-def _centres(points, simplices):
-    """Means of the corners (n, dim)."""
-    n, k = simplices.shape
-    dim = points.shape[1]
-    result = np.empty((n, dim))
-    for s in range(n):
-        for c in range(dim):
-            total = 0.0
-            for m in range(k):
-                total += points[simplices[s, m], c]
-            result[s, c] = total / k
-    return result
-
-
-@kernel
 def _build(points, simplices, n_leaves, boxes):
     """Boxes (2 n_leaves - 1, 2 dim): lower corner, upper corner; empty ones are inverted."""
     n, k = simplices.shape
@@ -237,7 +222,7 @@ class BoxTree:
 
     def __init__(self, points: np.ndarray, simplices: np.ndarray) -> None:
         n, self.dim = len(simplices), points.shape[1]
-        self.order = morton_order(_centres(points, simplices))
+        self.order = morton_order(sum(points[corner] for corner in simplices.T) / simplices.shape[1])
         self.simplices = np.ascontiguousarray(simplices[self.order], dtype=np.int32)
         n_leaves = 1
         while n_leaves * LEAF_SIZE < n:
@@ -273,52 +258,28 @@ def padded(points: np.ndarray) -> np.ndarray:
     return result
 
 
-@inner_kernel
-def _spread2(value):
-    """Put a zero bit between the lower 32 bits."""
-    x = np.uint64(value)
-    x = (x | (x << np.uint64(16))) & np.uint64(0x0000FFFF0000FFFF)
-    x = (x | (x << np.uint64(8))) & np.uint64(0x00FF00FF00FF00FF)
-    x = (x | (x << np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    x = (x | (x << np.uint64(2))) & np.uint64(0x3333333333333333)
-    x = (x | (x << np.uint64(1))) & np.uint64(0x5555555555555555)
-    return x
-
-
-@inner_kernel
-def _spread3(value):
-    """Put two zero bits between the lower 21 bits."""
-    x = np.uint64(value)
-    x = (x | (x << np.uint64(32))) & np.uint64(0x001F00000000FFFF)
-    x = (x | (x << np.uint64(16))) & np.uint64(0x001F0000FF0000FF)
-    x = (x | (x << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
-    x = (x | (x << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
-    x = (x | (x << np.uint64(2))) & np.uint64(0x1249249249249249)
-    return x
-
-
-@kernel
-def _codes(steps, out):
-    n, dim = steps.shape
-    for i in range(n):
-        code = np.uint64(0)
-        for c in range(dim):
-            step = np.int64(steps[i, c])
-            code |= (_spread2(step) if dim == 2 else _spread3(step)) << np.uint64(c)
-        out[i] = code
+#: by dimension the shifts and masks that put one or two zero bits between the lower 32 or 21 bits
+_SPREAD = {2: ((16, 0x0000FFFF0000FFFF), (8, 0x00FF00FF00FF00FF), (4, 0x0F0F0F0F0F0F0F0F), (2, 0x3333333333333333),
+               (1, 0x5555555555555555)),
+           3: ((32, 0x001F00000000FFFF), (16, 0x001F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3),
+               (2, 0x1249249249249249))}
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:
     """Order of points (n, dim), dim 2 or 3, along the Z-curve of their own bounding box."""
-    n, dim = points.shape
-    codes = np.empty(n, dtype=np.uint64)
-    if n == 0:
+    dim = points.shape[1]
+    if not len(points):
         return np.empty(0, dtype=np.int64)
     # column by column: several times faster than along an axis of 2 or 3
-    low = np.array([points[:, c].min() for c in range(dim)])
-    extent = max(points[:, c].max() - low[c] for c in range(dim))
-    steps = 2.0 ** (31 if dim == 2 else 21) - 1
-    _codes((points - low) * (steps / extent if extent > 0 else 0.0), codes)
+    low = [column.min() for column in points.T]
+    extent = max(column.max() - least for column, least in zip(points.T, low, strict=True))
+    scale = (2.0 ** (31 if dim == 2 else 21) - 1) / extent if extent > 0 else 0.0
+    codes = np.zeros(len(points), dtype=np.uint64)
+    for c in range(dim):
+        bits = ((points[:, c] - low[c]) * scale).astype(np.uint64)
+        for shift, mask in _SPREAD[dim]:
+            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
+        codes |= bits << np.uint64(c)
     return np.argsort(codes, kind="stable")
 
 

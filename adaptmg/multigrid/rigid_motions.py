@@ -225,11 +225,11 @@ def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (k, m) of the motions that supports leave free, and those (n_contact, dim, m) of contact nodes."""
     nodes, fixed = problem.contact.nodes, problem.fixed.reshape(-1, problem.dim)
     held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
-    modes = problem.near_nullspace_at(np.concatenate([held, nodes]))
-    if modes is None or not len(nodes):
+    if problem.near_nullspace is None or not len(nodes):
         return np.empty((0, 0)), np.empty((len(nodes), problem.dim, 0))
-    coefficients = null_combinations(modes[:len(held)][fixed[held]])
-    return coefficients, modes[len(held):] @ coefficients
+    modes = problem.near_nullspace.reshape(problem.n_nodes, problem.dim, -1)
+    coefficients = null_combinations(modes[held][fixed[held]])
+    return coefficients, modes[nodes] @ coefficients
 
 
 @dataclass(eq=False)

@@ -100,14 +100,6 @@ def test_rigid_body_modes_are_orthonormal_and_strain_free(dim):
         np.testing.assert_allclose(np.sum((u[i] - u[j]) * (points[i] - points[j]), axis=1), 0.0, atol=1e-13)
 
 
-@pytest.mark.parametrize("points", [np.random.default_rng(0).random((9, 2)), np.random.default_rng(0).random((9, 3)),
-                                    np.outer(np.arange(9.0), [1.0, 2.0, 3.0])], ids=["plane", "solid", "on a line"])
-def test_rows_of_rigid_body_modes_at_some_points(points):
-    dim, at = points.shape[1], np.array([4, 8, 1])
-    expected = rigid_body_modes(points).reshape(9, dim, -1)[at].reshape(3 * dim, -1)
-    np.testing.assert_array_equal(rigid_body_modes(points, at), expected)
-
-
 # -- relative coordinates: against dense algebra -----------------------------------------------------------------------
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)

@@ -78,23 +78,23 @@ def package(tmp_path):
     return copy / "geometry", run
 
 
-ORDER = ("import numpy as np\nfrom adaptmg.geometry.search import morton_order\n"
-         "assert len(morton_order(np.random.default_rng(1).random((5, 2)))) == 5\n")
+TREE = ("import numpy as np\nfrom adaptmg.geometry.search import BoxTree\n"
+         "assert len(BoxTree(np.random.default_rng(1).random((5, 2)), np.eye(5, 3, dtype=np.int32)).boxes) == 3\n")
 
 
 def test_kernels_run_where_no_cache_can_be_written(package):
     folder, run = package
     # a file where numba would make its directory: not even root can write there
     (folder / "__pycache__").write_text("a file")
-    said = run(ORDER, HOME=os.devnull, XDG_CACHE_HOME=os.path.join(os.devnull, "cache"))
+    said = run(TREE, HOME=os.devnull, XDG_CACHE_HOME=os.path.join(os.devnull, "cache"))
     assert "compiled kernels are not stored" in said and said.count("\n") == 1
 
 
 def test_long_compiling_is_announced_once_behind_a_pipe_and_stored_kernels_are_silent(package):
     _, run = package
     long = "import adaptmg._numba as n\nn._COMPILING.here.seconds = 100.0\n"
-    assert run(long + ORDER).startswith("adaptmg: compiling kernels (first use")
-    assert run(long + ORDER) == ""
+    assert run(long + TREE).startswith("adaptmg: compiling kernels (first use")
+    assert run(long + TREE) == ""
 
 
 def test_a_value_is_computed_once_an_object_and_does_not_keep_it_alive():
