@@ -32,9 +32,10 @@ from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import displacement_gradient
 from adaptmg.discrete.supports import boundary_supports
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.stress_fields import OPPOSITE, ElementStress, Posed, contact_tractions, posed
+from adaptmg.estimate.stress_fields import ElementStress, Posed, contact_tractions, posed
 from adaptmg.geometry.quadrature import quadrature_points
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import OPPOSITE
 from adaptmg.problem.loads import BodyForce, Load, Pressure, Spring, Traction
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result

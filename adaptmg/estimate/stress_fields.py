@@ -106,10 +106,6 @@ def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData)
     return ElementStress(mesh, displacement, data, data.tensors(mesh, displacement)[:, rows, columns])
 
 
-#: corners of the facets opposite each corner of an element
-OPPOSITE = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])}
-
-
 @dataclass(frozen=True, eq=False)
 class Neighbours:
     """Which element lies across each facet of an element, and which one a boundary facet belongs to."""

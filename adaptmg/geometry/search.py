@@ -284,15 +284,6 @@ def morton_order(points: np.ndarray) -> np.ndarray:
 
 
 @inner_kernel
-def _difference_dot(points, a, b, c, d):
-    """(x_b - x_a) . (x_d - x_c)."""
-    total = 0.0
-    for m in range(3):
-        total += (points[b, m] - points[a, m]) * (points[d, m] - points[c, m])
-    return total
-
-
-@inner_kernel
 def _dot_from(points, a, b, x, c):
     """(x_b - x_a) . (x - x_c)."""
     total = 0.0
@@ -304,7 +295,7 @@ def _dot_from(points, a, b, x, c):
 @inner_kernel
 def _on_segment(points, a, b, x):
     """Weight of b in the point of the segment (a, b) closest to x."""
-    length = _difference_dot(points, a, b, a, b)
+    length = _dot_from(points, a, b, points[b], a)
     if length == 0.0:
         return 0.0
     return min(max(_dot_from(points, a, b, x, a) / length, 0.0), 1.0)

@@ -378,8 +378,8 @@ MeshArrays.source = made_on_demand("source", "A straight ngsolve.Mesh of these a
 #: by dimension: node numbers are of 32 bits, and the three of a facet must fit into 63
 MOST_NODES = {2: 2**31 - 1, 3: 2**21 - 1}
 
-# facet k lies opposite node k; of a positively oriented element its normal (see MeshArrays.facets) points outwards
-_LOCAL = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])}
+#: facet k lies opposite node k; of a positively oriented element its normal (see MeshArrays.facets) points outwards
+OPPOSITE = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])}
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,7 +401,7 @@ class FacetTable:
 
 def element_facets(elements: np.ndarray) -> np.ndarray:
     """Facets (n_elements, dim + 1, dim) of positively oriented elements, outward, facet k opposite node k."""
-    return elements[:, _LOCAL[elements.shape[1] - 1]]
+    return elements[:, OPPOSITE[elements.shape[1] - 1]]
 
 
 def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
