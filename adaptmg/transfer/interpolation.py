@@ -210,37 +210,15 @@ _REACHED = 1e-10
 """A sum, or a first moment over the size of its row, that differs by less from what is asked for is restored."""
 
 
-@kernel
-def _fill_rows(columns, weights, clip, indptr, indices, data):
-    """Rows in column order without entries below ``clip``, normalised; returns the number of entries."""
-    n, k = columns.shape
-    count = 0
-    for i in range(n):
-        indptr[i] = count
-        total = 0.0
-        for m in range(k):
-            if weights[i, m] < clip:
-                continue
-            at = count
-            while at > indptr[i] and indices[at - 1] > columns[i, m]:  # one further down each time
-                indices[at], data[at] = indices[at - 1], data[at - 1]
-                at -= 1
-            indices[at], data[at] = columns[i, m], weights[i, m]
-            total += weights[i, m]
-            count += 1
-        for at in range(indptr[i], count):
-            data[at] /= total
-    indptr[n] = count
-    return count
-
-
 def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -> sparse.csr_array:
-    """Sparse rows from a fixed number of weights each."""
-    n, k = columns.shape
-    indptr = np.empty(n + 1, dtype=np.int32)
-    indices, data = np.empty(n * k, dtype=np.int32), np.empty(n * k)
-    count = _fill_rows(columns, weights, CLIP, indptr, indices, data)
-    return sparse.csr_array((data[:count].copy(), indices[:count].copy(), indptr), shape=(n, n_columns))
+    """Sparse rows from a fixed number of weights each: sorted, without those below ``CLIP``, with sums 1."""
+    order = np.argsort(columns, axis=1)
+    weights = np.where(weights < CLIP, 0.0, weights)
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    columns, weights = (np.take_along_axis(part, order, axis=1) for part in (columns, weights))
+    kept = weights > 0
+    indptr = np.append(0, np.cumsum(np.count_nonzero(kept, axis=1))).astype(np.int32)
+    return sparse.csr_array((weights[kept], columns[kept].astype(np.int32), indptr), shape=(len(kept), n_columns))
 
 
 def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
