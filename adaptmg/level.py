@@ -96,12 +96,12 @@ class Level:
 
     @property
     def discrete_or_none(self) -> DiscreteProblem | None:
-        """``discrete``; None of a coarse space without one."""
+        """Return ``discrete``, None of a coarse space without one."""
         return self.__dict__["discrete"]
 
     @property
     def mesh_or_none(self) -> MeshArrays | None:
-        """``mesh``; None of a level that comes from matrices."""
+        """Return ``mesh``, None of a level that comes from matrices."""
         return self.__dict__["mesh"]
 
     @property

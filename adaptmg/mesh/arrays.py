@@ -194,7 +194,7 @@ class MeshArrays:
         return np.unique(self.boundary_facets(boundary))
 
     def surface(self, boundary: str) -> Surface:
-        """A named boundary with its measures and normals; ValueError if it does not exist, or has no facets."""
+        """Return a named boundary with its measures and normals; ValueError if it does not exist, or has no facets."""
         if boundary not in self._surfaces:
             facets = self.boundary_facets(boundary)
             if not len(facets):

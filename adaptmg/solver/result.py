@@ -135,7 +135,7 @@ class Result:
 
     @property
     def mesh_or_none(self) -> MeshArrays | None:
-        """``mesh``; None of a result that comes from a bare DiscreteProblem."""
+        """Return ``mesh``, None of a result that comes from a bare DiscreteProblem."""
         return self.__dict__["mesh"]
 
     @property
