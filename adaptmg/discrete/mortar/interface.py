@@ -51,13 +51,14 @@ class Surfaces:
     normals: np.ndarray  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
     excluded: np.ndarray = ()  # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
     axisymmetric: bool = False  # x is a radius; 2D only
+    points: np.ndarray = field(init=False, repr=False)  # (n_nodes, dim): those of the mesh, m
     slave: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
     master: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
     carries: np.ndarray = field(init=False, repr=False)  # (n_nodes,) bool
     size: float = field(init=False, repr=False)  # diagonal of the bounding box of both surfaces, m
 
     def __post_init__(self) -> None:
-        points, slave_nodes, master_nodes = self.points, self.slave_side.nodes, self.master_side.nodes
+        points, slave_nodes, master_nodes = self.slave_side.points, self.slave_side.nodes, self.master_side.nodes
         common = np.intersect1d(slave_nodes, master_nodes)
         if len(common):
             raise ValueError(f"slave and master surface share node {common[0]} {_place(points, common[0])}; they must "
@@ -71,7 +72,8 @@ class Surfaces:
         size = float(np.linalg.norm(np.ptp(points[np.r_[slave_nodes, master_nodes]], axis=0)))
         slave, master = (np.ascontiguousarray(one.facets, dtype=np.int64) for one in (self.slave_side,
                                                                                       self.master_side))
-        for name, value in (("slave", slave), ("master", master), ("carries", carries), ("size", size)):
+        for name, value in (("points", points), ("slave", slave), ("master", master), ("carries", carries),
+                            ("size", size)):
             object.__setattr__(self, name, value)
         outward = np.einsum("fd,fkd->fk", self.slave_side.vectors, self.normals[slave])
         if not (outward > 0).all():
@@ -79,11 +81,6 @@ class Surfaces:
             raise ValueError(f"normals must point out of the slave body; that of node {i} {_place(points, i)} does not "
                              "on one of its facets. Reverse the facets, or split the boundary where it has a sharp "
                              "corner")
-
-    @property
-    def points(self) -> np.ndarray:
-        """Those of the mesh (n_nodes, dim), m."""
-        return self.slave_side.points
 
     def depths(self, reach: float | None) -> tuple[float, float]:
         """How far behind and in front of the slave surface the master is looked for, m."""
