@@ -17,7 +17,7 @@ from adaptmg.multigrid.corrections import Monotone
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.factorisation import FACTORISED
 from adaptmg.solver.multigrid import Multigrid
-from adaptmg.solver.record import Outcome, Run
+from adaptmg.solver.record import Outcome, Run, Status
 
 _LOG = logging.getLogger(__name__)
 
@@ -35,7 +35,7 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
             solver = ActiveSet(rtol=outcome.rtol, max_steps=max(outcome.left, 1),
                                condensed=problem.dim * len(problem.contact.nodes) <= CONDENSED)
             outcome = _continued(outcome, solver, "ActiveSet", first, hierarchy, run)
-            if outcome.status.ok:
+            if outcome.status.ok or outcome.status is Status.ROUNDING:
                 return outcome
     if outcome.left and hierarchy.discretised:
         solver = Multigrid(correction=Monotone(), rtol=outcome.rtol, max_cycles=outcome.left)

@@ -53,7 +53,7 @@ def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status
         state = method.step()
         status = state if isinstance(state, Status) else stop.take(state, run)
         if status is not None:
-            given_up = status in (Status.STALLED, Status.LIMIT)
+            given_up = status in (Status.STALLED, Status.LIMIT, Status.ROUNDING)
             return Status.CONVERGED if given_up and stop.certified() else status
 
 
@@ -66,6 +66,9 @@ class StopTest:
     RESIDUAL_FACTOR = 10.0
     #: largest relative residual that rounding excuses
     ROUNDING_LIMIT = 1e-9
+    #: of the terms that a residual sums, the share that it keeps however often it is refined; iterates there, with
+    #: forces that balance to the last number, after which no further one is better
+    KEPT, REFINED, BALANCED = 2 * np.finfo(float).eps, 4, 1e-5
     #: iterates without a new smallest change, or residual, after which an iteration counts as stalled
     PATIENCE = 60
 
@@ -75,7 +78,7 @@ class StopTest:
         self._caution, self._asked, self._rounding, self.cycles = 1.0, -1, False, 0
         self.changes: list[float] = []
         self.size, self.residual, self.error_estimate, self.met = 0.0, np.inf, np.inf, False
-        self._last = np.nan
+        self._last, self._kept = np.nan, 0
 
     def take(self, state: State, run: Run | None = None) -> Status | None:
         """Take a state and record it; how the iteration ends, None if it goes on."""
@@ -96,6 +99,8 @@ class StopTest:
         self.residual = 0.0 if residual == 0 else residual / (state.forces or residual)  # interference: no forces yet
         self._last = residual
         self._rounding = self.at_rounding(state.floor)
+        kept = residual <= self.KEPT * state.floor and self.residual <= self.BALANCED
+        self._kept = self._kept + 1 if kept else 0
         self.error_estimate = self.residual if self._rounding else self._caution * self._estimate()
         self.met = self._rounding or self._small_enough()
 
@@ -105,6 +110,9 @@ class StopTest:
             return Status.CONVERGED
         if self.diverged:
             return Status.DIVERGED
+        if self._kept >= self.REFINED:
+            self.error_estimate = np.nan  # the certificate has one
+            return Status.ROUNDING
         if self._stalled is not None and self.stalled:
             return self._stalled
         return Status.LIMIT if self.cycles >= self.limit else None
@@ -116,7 +124,7 @@ class StopTest:
 
     @property
     def residual_met(self) -> bool:
-        return self.residual <= self.RESIDUAL_FACTOR * self.rtol
+        return self.residual <= self.RESIDUAL_FACTOR * self.rtol or self._kept > 0
 
     def doubted(self) -> bool:
         """Whether the certificate contradicts a test that is met."""

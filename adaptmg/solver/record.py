@@ -41,6 +41,8 @@ class Status(Enum):
                "am.ActiveSet()")
     CYCLING = ("the contact status repeats without converging: reduce the friction or the load step, start from a "
                "nested iteration, or solve with am.Multigrid()")
+    ROUNDING = ("the residual is rounding: in double precision no smaller error than the estimated one can be reached; "
+                "take an rtol above it")
     DIVERGED = ("the iterates grow without bound: check supports and loads (am.solve checks rigid motions), take "
                 "am.Monotone() or omega <= 1")
 

@@ -239,7 +239,9 @@ def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: st
     is that of a change: the error is compared with the multiple that the residual has."""
     if not np.isfinite(residual):
         return Status.DIVERGED
-    most = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, StopTest.ROUNDING_LIMIT)
+    line = checked["equilibrium"]
+    rounding = checked.MOST_ROUNDING if line.relative <= line.rounding else StopTest.ROUNDING_LIMIT
+    most = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, rounding)
     # twice: solvers sum the same numbers in another order
     if outcome.status.ok and not residual <= 2 * most:
         return Status.DIVERGED if not residual < 1 else Status.STALLED

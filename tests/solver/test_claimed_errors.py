@@ -184,6 +184,21 @@ def test_contact_nodes_that_open_one_after_the_other():
     assert distance(grids.finest.discrete, result.displacement, exact.displacement) <= 3 * rtol
 
 
+def test_a_tolerance_below_rounding_is_refused_and_the_least_one_named():
+    # a beam of 200 : 1: rounding of its residual is 1e-7 of the load
+    cells = np.zeros((200, 3), dtype=bool)
+    cells[:, 1] = cells[0, 2] = cells[50:, 0] = True
+    grids = am.Hierarchy.from_meshes(am.ContactProblem(
+        name="beam", material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Coulomb(0.3),
+        contact=am.Contact("bottom", am.Plane(point=(0, -2e-3), normal=(0, 1))),
+        loads=(am.BodyForce((0.0, -1e6)),), supports=(am.Support("top", x=0.0, y=0.0),)),
+        [slender.cut_out(cells, 1e-3, divisions, (0.0, 0.0)) for divisions in (1, 2)])
+    for solver in (am.ActiveSet(rtol=1e-12), am.Multigrid(rtol=1e-12)):
+        result = am.solve(grids, solver, throw=False)
+        assert result.status is am.Status.ROUNDING and result.cycles <= 50
+        assert am.solve(grids, replace(solver, rtol=5 * result.error_estimate)).status.ok
+
+
 def test_a_patch_test_to_the_discretisation_error():
     # the nested start is exact: no cycle shows a discretisation error, whose tenth would be the tolerance
     grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Frictionless()), divisions=(2, 4, 8))
