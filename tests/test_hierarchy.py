@@ -181,7 +181,7 @@ def test_nothing_is_made_that_nobody_asked_for(monkeypatch):
     lambda: am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4)),
     lambda: am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), contact_ratio=2),
     lambda: am.Hierarchy.uniform(am.cases.two_block_patch(), divisions=(4, 8))])
-def test_what_the_package_assembles_passes_the_checks_of_a_strangers_problem(make):
+def test_what_is_assembled_passes_the_checks_of_a_users_problem(make):
     for level in make().levels:
         given, again = level.discrete, replace(level.discrete)
         np.testing.assert_array_equal(again.matrix.data, given.matrix.data)
@@ -225,7 +225,7 @@ def same(a: am.Hierarchy, b: am.Hierarchy) -> bool:
                                     for x, y in zip(parts(one), parts(two), strict=True))
 
 
-def test_another_problem_on_the_same_meshes_is_what_building_anew_makes():
+def test_another_problem_on_these_meshes_is_as_built_from_them():
     bar = am.cases.greco_bar
     springs = [am.Symmetry("left"), am.Spring("right", normal=1e9)]
     stiffer = {name: am.PlaneStrain(young=3e11, poisson=0.3) for name in JOINT.bodies}

@@ -85,7 +85,7 @@ class TestContactNodes:
         np.testing.assert_allclose(nodes.weights, contact_data(plane_problem(), PLATE)[0].weights)
         np.testing.assert_array_equal(nodes.boundary, [1, 1, 0, 0, 0])
 
-    def test_symmetry_plane_takes_the_one_sided_tilt_out_of_the_normal(self):
+    def test_symmetry_planes_take_the_tilt_out_of_the_normal(self):
         """A quarter of a ring with radii 1 (bottom) and 1/2, from x = 0 (left) on."""
         flat = structured(am.Rectangle(width=1.0, height=1.0), (8, 3))
         angle, radius = flat.points[:, 0] * np.pi / 2, 1 - flat.points[:, 1] / 2

@@ -88,7 +88,7 @@ def test_marked_elements_have_all_edges_halved_and_passes_count(mesh):
     assert once.n_nodes < full.mesh.n_nodes
 
 
-def test_uniform_bisection_of_a_structured_mesh_makes_the_next_structured_one():
+def test_uniform_bisection_makes_the_next_structured_mesh():
     for mesh, next_one in ((structured(Rectangle(width=1, height=1), n) for n in (4, 8)), (cube(1), cube(2))):
         fine, _ = bisect(mesh, everything(mesh))
         assert fine.n_nodes == next_one.n_nodes and len(fine.elements) == len(next_one.elements)
@@ -141,7 +141,7 @@ def thrice(mesh):
 
 
 @pytest.mark.parametrize("mesh", CROOKED.values(), ids=CROOKED)
-def test_bisection_goes_on_from_a_file_as_if_it_had_never_stopped(mesh, tmp_path):
+def test_bisection_goes_on_from_a_file(mesh, tmp_path):
     fine, kinds = thrice(mesh), (MeshArrays, Refinement)
     (tmp_path / "mesh.npz").write_bytes(store.packed(fine, kinds, fine.refinement))
     stored = store.read(tmp_path / "mesh.npz", kinds, more=True)

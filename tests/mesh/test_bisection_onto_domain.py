@@ -123,7 +123,7 @@ def thin(height):
 
 
 @pytest.mark.parametrize(("height", "goes"), [(1.0, True), (0.6, False), (0.4, False)])
-def test_a_node_stays_on_the_chord_where_it_would_spoil_an_element(height, goes):
+def test_a_node_that_would_spoil_an_element_stays_on_the_chord(height, goes):
     domain, coarse = thin(height)
     assert domain.arc(0).at(0.5) == pytest.approx((0, 0.5))
     fine, parents = bisect(coarse, np.array([True, False, False, False]), passes=1)

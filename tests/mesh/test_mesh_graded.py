@@ -104,22 +104,6 @@ def test_the_same_arguments_give_the_same_mesh(domain, ratio):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-@pytest.mark.parametrize("ratio", [4, 16])
-def test_box_sizes_are_achieved(ratio):
-    mesh = check_mesh(graded(BOX, 20e-3, "bottom", ratio), BOX.boundaries)
-    assert mesh.volumes.sum() == pytest.approx(24e-6, rel=1e-12)
-    at_contact = equilateral_sizes(mesh.points, mesh.boundary_facets("bottom")) * ratio / 20e-3
-    assert at_contact.min() > 0.4 and at_contact.max() < 1.5 and 0.8 < np.median(at_contact) < 1.3
-    assert quality(mesh).min_angle > 20
-    for name, axis, where in (("bottom", 2, BOX.lower[2]), ("top", 2, BOX.upper[2]), ("left", 0, BOX.lower[0]),
-                              ("right", 0, BOX.upper[0]), ("front", 1, BOX.lower[1]), ("back", 1, BOX.upper[1])):
-        assert (mesh.points[mesh.boundary_nodes(name), axis] == where).all()
-    # far from contact the size is the bulk size, near it the contact size
-    height = mesh.points[mesh.elements].mean(axis=1)[:, 2] - BOX.lower[2]
-    if ratio == 16:
-        assert np.median(mesh.element_sizes[height > 20e-3]) > 4 * np.median(mesh.element_sizes[height < 1e-3])
-
-
 def test_sized_catches_a_strong_field_at_a_corner():
     # 4000 times finer than the bulk at one point: Netgen alone misses it
     mesh = sized(SQUARE, lambda x: 2e-6 + 0.3 * np.linalg.norm(x - SQUARE.lower, axis=1), 8e-3)

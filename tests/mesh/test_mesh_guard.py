@@ -68,7 +68,7 @@ def test_a_mesh_that_does_not_finish_is_refused_with_the_limit(monkeypatch):
     assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
 
 
-def test_threads_and_size_functions_that_mesh_have_a_process_each():
+def test_threads_and_size_functions_mesh_in_their_own_processes():
     square = am.Rectangle(width=1, height=1)
 
     def mesh(_):

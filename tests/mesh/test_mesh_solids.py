@@ -123,7 +123,7 @@ def from_fillet(x):
     (OCTANT, 0.05, "surface", {"surface": lambda x: np.abs(np.linalg.norm(x - (0, 0, 1), axis=1) - 1)}),
     (FILLET, 0.05, "flat", {"fillet": from_fillet, "flat": lambda x: np.abs(x[:, 2] - 0.2)}),
 ], ids=["cylinder", "octant", "fillet"])
-def test_a_small_draft_is_refined_to_the_sizes_and_its_nodes_lie_on_the_faces(solid, size, contact, gap, monkeypatch):
+def test_a_draft_is_refined_to_the_sizes_on_the_faces(solid, size, contact, gap, monkeypatch):
     drafts, original = [], module._netgen_mesh
     monkeypatch.setattr(module, "_netgen_mesh", lambda *given: drafts.append(original(*given)) or drafts[-1])
     mesh = graded(solid, size, contact, 1.5)

@@ -87,7 +87,7 @@ def test_work_units_by_hand():
             == pytest.approx(result.cycles + 1 + 1.5 * (result.cycles + 1) * middle / fine))
 
 
-def test_discretisation_tolerance_stops_early_and_below_the_discretisation_error():
+def test_discretisation_tolerance_stops_early_below_that_error():
     hierarchy = bar(am.Coulomb(1.0), 16)
     finer = am.solve(bar(am.Coulomb(1.0), 64), replace(NESTED, rtol=1e-10))
     reference = exact(hierarchy)
@@ -138,7 +138,7 @@ def test_each_variant_converges():
 
 
 @pytest.mark.filterwarnings("ignore:friction")
-def test_the_active_set_method_takes_over_where_friction_is_too_large():
+def test_the_active_set_method_takes_over_from_large_friction():
     hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(5.0)), divisions=(4, 8, 16, 32, 64))
     result = am.solve(hierarchy, am.FullMultigrid())
     assert result.residual <= 1e-7 and "ActiveSet from cycle" in result.fallback

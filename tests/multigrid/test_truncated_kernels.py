@@ -198,23 +198,6 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     np.testing.assert_allclose(levels[0].matrix().toarray(), coarsest.toarray(), atol=1e-12)
 
 
-@pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
-@pytest.mark.parametrize("dim", [2, 3])
-def test_the_truncated_residual_by_hand(dim, law):
-    contact = swept(dim, law, 3)[2]
-    found = np.random.default_rng(2).normal(size=16 * dim)
-    expected = found.reshape(-1, dim).copy()
-    for k, (node, frame) in enumerate(zip(contact.nodes, contact.frames.reshape(-1, dim, dim), strict=True)):
-        local, closed, tangential = frame @ expected[node], contact.codes[k] & 1, contact.codes[k] & 6
-        slip = contact.values.reshape(-1, dim)[k, 1:] - contact.reference.reshape(-1, dim - 1)[k]
-        bound = contact.limit[k] + closed * contact.friction[k] * max(local[0], 0.0)
-        local[0] *= not closed
-        local[1:] -= bound * slip / np.linalg.norm(slip) if tangential >= 4 else (tangential == 2) * local[1:]
-        expected[node] = frame.T @ local
-    contact.truncate(found)
-    np.testing.assert_allclose(found, expected.ravel(), atol=1e-13)
-
-
 @pytest.mark.parametrize("dim", [1, 2, 3])
 def test_transfers(dim):
     rng = np.random.default_rng(dim)
@@ -229,7 +212,7 @@ def test_transfers(dim):
     np.testing.assert_allclose(u, expected)
 
 
-def test_singular_coarsest_matrices_are_shifted_and_others_not_whatever_their_unit(monkeypatch):
+def test_singular_coarsest_matrices_alone_are_shifted(monkeypatch):
     singular = np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]])
     regular, rhs, result = singular + np.eye(4), np.array([1.0, -1.0, 0.0, 2.0]), np.empty(4)
     for dense, scale, (matrix, rtol) in itertools.product((0, 10_000), (1e-10, 1.0, 1e10), (

@@ -116,7 +116,7 @@ def test_a_hole_in_tension_has_the_stress_of_kirsch():
         am.Hierarchy.uniform(quarter, (4, 8))
 
 
-def test_a_gmsh_file_with_names_is_solved_and_drawn_without_a_domain(tmp_path):
+def test_a_gmsh_file_with_names_is_solved_and_drawn(tmp_path):
     path = write(tmp_path / "plate.msh", replace(graded(PLATE, 0.6), bodies=("plate",), source=None))
     problem = replace(POSED, domain=None, material={"plate": POSED.material}, loads=am.Pressure("top", 5e7), supports=(
         am.Symmetry("left"), am.Spring("hole", normal=1e9), am.PointSpring((0, 2), y=1e9)))

@@ -61,7 +61,7 @@ class TestLaws:
     @pytest.mark.parametrize(("law", "limit", "friction"), [
         (am.Tresca(lambda x: 10.0 * x[:, 0]), [0.0, 10.0, 10.0], 0.0),
         (am.Coulomb(lambda x: 0.1 + x[:, 0]), 0.0, [0.1, 1.1, 2.1]), (am.Frictionless(), 0.0, 0.0)])
-    def test_functions_are_taken_at_the_nodes_and_tractions_become_forces(self, law, limit, friction):
+    def test_functions_are_taken_at_nodes_tractions_become_forces(self, law, limit, friction):
         points, weights = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), np.array([0.5, 1.0, 0.5])
         bounds = law.at_nodes(points, weights).bounds(3)
         for values, expected in zip(bounds, (limit, friction), strict=True):

@@ -30,7 +30,7 @@ def names(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir())
 
 
-def test_a_new_file_has_the_permissions_of_the_umask_and_an_old_one_keeps_its_own(tmp_path, mask):
+def test_new_files_have_the_umask_and_old_ones_their_permissions(tmp_path, mask):
     write_bytes(tmp_path / "a", b"1")
     assert mode(tmp_path / "a") == 0o640
     (tmp_path / "a").chmod(0o604)
@@ -83,7 +83,7 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, f
     assert names(tmp_path) == [target.name] and target.read_bytes() == b"old"
 
 
-def test_a_kill_leaves_whole_files_and_what_a_later_writer_removes(tmp_path):
+def test_a_kill_leaves_whole_files_and_a_later_writer_cleans_up(tmp_path):
     code = ("import sys\nfrom pathlib import Path\nfrom adaptmg._files import write_bytes\n"
             "sys.stdout.write('x'); sys.stdout.flush()\n"
             "for k in range(10**9):\n"

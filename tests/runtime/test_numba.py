@@ -45,7 +45,7 @@ class Passes(Listener):
         pass
 
 
-def test_compiling_is_counted_without_collecting_garbage_and_calling_is_not():
+def test_compiling_is_counted_and_collects_no_garbage():
     @kernel(cache=False)
     def once(a):
         return _twice(a) + 1.0
@@ -90,14 +90,14 @@ def test_kernels_run_where_no_cache_can_be_written(package):
     assert "compiled kernels are not stored" in said and said.count("\n") == 1
 
 
-def test_long_compiling_is_announced_once_behind_a_pipe_and_stored_kernels_are_silent(package):
+def test_long_compiling_is_announced_once_stored_kernels_never(package):
     _, run = package
     long = "import adaptmg._numba as n\nn._COMPILING.here.seconds = 100.0\n"
     assert run(long + TREE).startswith("adaptmg: compiling kernels (first use")
     assert run(long + TREE) == ""
 
 
-def test_a_value_is_computed_once_an_object_and_does_not_keep_it_alive():
+def test_a_value_is_computed_once_and_keeps_no_object_alive():
     class Thing:
         pass
 

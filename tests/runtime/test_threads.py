@@ -46,14 +46,14 @@ def in_a_child(threads):
     return subprocess.Popen([sys.executable, __file__], env=environment, stdout=subprocess.PIPE, text=True)
 
 
-def test_bitwise_the_same_run_to_run_and_for_one_and_two_blas_threads():
+def test_bits_do_not_depend_on_the_run_or_on_blas_threads():
     children = [in_a_child(1), in_a_child(2)]
     one, two = (json.loads(child.communicate()[0]) for child in children)
     assert [child.returncode for child in children] == [0, 0]
     assert set(one) == set(CASES) and two == one
 
 
-def test_two_threads_that_solve_at_once_find_what_one_after_the_other_finds():
+def test_threads_at_the_same_time_solve_as_one_after_the_other():
     names = ["active set, pyamg", "two bodies", "aggregation", "3D", "active set, pyamg", "graded"]
     grids = [CASES[name][0]() for name in names]
     alone = [outcome(grid, CASES[name][1]) for grid, name in zip(grids, names, strict=True)]

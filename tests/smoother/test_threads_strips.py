@@ -132,7 +132,7 @@ def test_other_numbers_of_threads_are_refused(number, error):
         am.set_threads(number)
 
 
-def test_several_threads_are_refused_where_tasks_run_at_the_same_time():
+def test_several_threads_are_refused_in_workers_of_several_tasks():
     with Client(processes=False, n_workers=1, threads_per_worker=2, dashboard_address=None) as client:
         with pytest.raises(ValueError, match="threads must be 1 in a worker that runs 2 tasks at the same time, got 2"):
             client.submit(am.set_threads, 2, pure=False).result()

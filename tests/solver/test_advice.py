@@ -50,7 +50,7 @@ def test_a_mesh_that_is_not_one_of_the_domain_is_named():
 
 
 @pytest.mark.parametrize("message", BEYOND)
-def test_a_limit_of_the_theory_is_named_once_at_the_line_of_the_user(message):
+def test_a_limit_of_the_theory_is_named_once_at_the_users_line(message):
     beyond, *within = BEYOND[message]
     grids = bar(**beyond)
     for act in (lambda: am.solve(grids), lambda: am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}))):
@@ -80,13 +80,13 @@ def test_an_adaptive_loop_warns_once():
 
 
 @pytest.mark.parametrize("name", am.cases.names())
-def test_no_case_is_beyond_the_theory_and_every_one_adapts_without_options(name):
+def test_no_case_is_beyond_the_theory_and_all_adapt_by_default(name):
     caught = warned(lambda: next(am.adapt(am.cases.get(name).function())))
     # what the strut is about
     assert all(name == "leaning_strut" and "may not be unique" in str(one.message) for one in caught), caught
 
 
-def test_one_mesh_takes_the_quickest_method_and_a_given_one_stays(monkeypatch, tmp_path):
+def test_one_mesh_takes_the_quickest_method_but_a_named_one(monkeypatch, tmp_path):
     grids = bar(divisions=(21,))
     result = am.solve(grids)
     assert result.solver_name.startswith("ActiveSet(") and "the quickest is the active set method" in repr(result)
@@ -104,7 +104,7 @@ def test_one_mesh_takes_the_quickest_method_and_a_given_one_stays(monkeypatch, t
     assert given.solver_name == "SingleGrid(rtol=0.001)" and given.choice == "" and "solver=None" not in repr(given)
 
 
-def test_a_long_phase_is_named_and_compiling_is_an_entry_of_its_own(capsys, monkeypatch):
+def test_a_long_phase_is_named_and_compiling_counted_apart(capsys, monkeypatch):
     monkeypatch.setattr(record.threading, "Timer", lambda seconds, call, text: SimpleNamespace(
         start=lambda: call(*text), cancel=lambda: None))
 

@@ -225,7 +225,7 @@ def near(request):
     return grids, exact, discrete.physical(grids.finest.prolongation @ grids[1].discrete.relative(below))
 
 
-def test_it_leaves_no_larger_error_than_it_says_from_wrong_starts_too(near):
+def test_errors_are_as_claimed_from_wrong_starts_too(near):
     grids, exact, start = near
     for rtol, begin in ((1e-2, start), (1e-6, start), (1e-6, -start)):
         result = am.solve(grids, am.Multigrid(rtol=rtol), start=begin)

@@ -92,7 +92,7 @@ def test_direct_reports_a_singular_matrix():
             am.Direct().setup(bar(6).matrix, symmetric=symmetric)
 
 
-def test_direct_uses_the_order_of_a_matrix_like_it_and_counts_no_work():
+def test_direct_uses_the_order_of_a_like_matrix_without_work():
     matrix, load, _ = glued_system(bar(6))
     first = am.Direct().setup(matrix)
     second = am.Direct().setup(sparse.bsr_array(2 * matrix, blocksize=(2, 2)), previous=first)
@@ -170,7 +170,7 @@ PROBLEMS = {"bar": lambda: bar(6), "block": lambda: bar(3, am.cases.greco_block(
 
 @pytest.mark.parametrize("dense", [0, 10**6])
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_condensation_is_that_of_dense_algebra_and_its_recovery_in_equilibrium(name, dense, monkeypatch):
+def test_condensation_and_recovery_are_those_of_dense_algebra(name, dense, monkeypatch):
     monkeypatch.setattr(factorisation, "_DENSE", dense)
     local = local_system(PROBLEMS[name]())
     condensed, (schur, load) = condense(local), dense_condensation(local)
@@ -190,7 +190,7 @@ def test_condensation_is_that_of_dense_algebra_and_its_recovery_in_equilibrium(n
 
 
 @pytest.mark.parametrize("dense", [0, 10**6])
-def test_a_body_without_support_and_contact_is_refused_or_left_out(dense, monkeypatch):
+def test_a_body_that_nothing_holds_is_refused_or_left_out(dense, monkeypatch):
     monkeypatch.setattr(factorisation, "_DENSE", dense)
     held = bar(3)
     both = together(held, replace(held, fixed=np.zeros(held.n_dofs, dtype=bool)))

@@ -113,7 +113,7 @@ def test_contact_without_names_has_a_resultant():
 
 
 @pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(0.3)])
-def test_a_force_at_a_corner_belongs_to_the_supports_that_hold_it(law, tmp_path):
+def test_a_force_at_a_corner_belongs_to_its_supports(law, tmp_path):
     """A square between two supports and the plane."""
     smooth = isinstance(law, am.Frictionless)
     problem = am.ContactProblem(
@@ -191,7 +191,7 @@ def test_what_else_ends_it(method, limit, status, cycles):
 
 
 @pytest.mark.parametrize(("last", "status"), [(0.0, am.Status.CONVERGED), (2.0, am.Status.LIMIT)])
-def test_at_the_limit_the_certificate_decides_whatever_the_estimate(last, status):
+def test_at_the_limit_of_cycles_the_certificate_decides(last, status):
     """After a refusal the test asks for more than rtol, and the cycles may end before."""
     answers = [3.0, last]
     assert iterate(Halving(), StopTest(1e-3, 11, lambda rtol: answers.pop(0))) is status and not answers

@@ -71,7 +71,7 @@ def made(folder, value=1.0):
     return out
 
 
-def test_the_page_is_made_of_what_studies_left_and_says_what_is_missing(tmp_path, capsys):
+def test_the_page_shows_what_studies_left_and_what_is_missing(tmp_path, capsys):
     assert not made(tmp_path).failed and made(tmp_path, 3.0).failed == ["the value: 3 (at most 2; NOT MET)"]
     names = ["table_1_grids", "dovetail", "hertz"]
     path = reproduce.report(names, tmp_path, argparse.Namespace(quick=True), {"hertz"})
@@ -103,7 +103,7 @@ def test_the_readme_has_the_numbers_that_were_recorded():
     assert [line.strip("| ").split(" | ") for line in shown] == recorded
 
 
-def test_the_campaign_of_loops_sees_spoilt_meshes_and_draws_every_problem():
+def test_the_campaign_of_loops_sees_spoilt_meshes():
     loops = load("random_loops")
     for make in loops.MAKERS[1:]:
         assert isinstance(make(np.random.default_rng(3)), am.ContactProblem)

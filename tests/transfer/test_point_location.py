@@ -33,22 +33,6 @@ def brute_force_weights(mesh, point):
     return np.linalg.solve(system, np.append(1.0, point)[None, :, None])[:, :, 0]
 
 
-@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
-def test_points_of_elements_are_found_where_they_are(mesh):
-    rng = np.random.default_rng(0)
-    element = rng.integers(0, len(mesh.elements), 500)
-    weights = rng.dirichlet(np.ones(mesh.dim + 1), 500)
-    points = np.einsum("nk,nkd->nd", weights, mesh.points[mesh.elements[element]])
-    found = PointLocator(mesh).locate(points)
-    np.testing.assert_array_equal(found.distance, 0)
-    size = mesh.element_sizes[element]
-    assert (np.abs(position(mesh, found) - points).max(axis=1) <= 1e-11 * size + 1e-15).all()
-    assert found.element.dtype == np.int32
-    # points well inside an element can lie in no other
-    inner = weights.min(axis=1) > 1e-6
-    np.testing.assert_array_equal(found.element[inner], element[inner])
-
-
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), n=st.integers(1, 25))
 def test_agrees_with_brute_force(seed, dim, n):

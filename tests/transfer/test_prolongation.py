@@ -326,7 +326,7 @@ def test_constraints_of_surface_rows(levels):
         assert np.isin(columns, allowed).all()
 
 
-def test_soft_bodies_next_to_stiff_ones_count_when_matrices_are_compared():
+def test_soft_bodies_next_to_stiff_ones_count_in_comparisons():
     coarse, fine = structured(2, 2), structured(4, 2)
     P, stretched = am.Interpolation().build(coarse, fine), np.eye(2) + 0.1 * np.random.default_rng(2).random((2, 2))
     soft = sparse.kron(mass_matrix(fine), sparse.csr_array(stretched))
@@ -445,7 +445,7 @@ def test_user_prolongations_too():
     assert result.displacement == pytest.approx(reference, abs=1e-6 * np.abs(reference).max())
 
 
-def test_a_coarsest_mesh_finer_than_the_next_is_solved_between_bodies():
+def test_a_coarsest_mesh_finer_than_the_next_is_solved():
     """Coarse functions that the next level cannot tell apart made the coarsest matrix of the nested start singular."""
     grids = am.Hierarchy.graded(am.cases.dovetail(), sizes=(6e-3, 3.6e-3, 2.2e-3), contact_ratio=4)
     result = am.solve(grids, am.FullMultigrid())
