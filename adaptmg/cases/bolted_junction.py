@@ -45,12 +45,8 @@ _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The va
            "nothing published stands behind them.")
 
 # with the default parameters
-_VALUES = {
-    "ring": {"open_to": 0.2249, "slip_to": 0.2342, "gap": 8.88e-6, "peak": 33.5e6, "peak_at": 0.245,
-             "joint_force": 1.985e6, "bolt_force": 2.488e6},
-    "traction": {"open_to": 0.2250, "slip_to": 0.2343, "gap": 8.93e-6, "peak": 33.5e6, "peak_at": 0.246,
-                 "joint_force": 1.9973e6},
-}
+_VALUES = {"open_to": 0.2249, "slip_to": 0.2342, "gap": 8.88e-6, "peak": 33.5e6, "peak_at": 0.245,
+           "joint_force": 1.985e6, "bolt_force": 2.488e6}
 
 
 @dataclass(frozen=True)
@@ -65,9 +61,9 @@ class _Friction:
         return np.where(np.abs(points[:, -1]) < self.reach, self.joint, self.heads)
 
 
-def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2.5e6, shortening: float | None = None,
-                    pressure: float = 4e6, friction: float = 0.2, head_friction: float | None = None,
-                    flanges: Flanges | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4e6, friction: float = 0.2,
+                    head_friction: float | None = None, flanges: Flanges | None = None, young: float = 2.1e11,
+                    poisson: float = 0.3) -> ContactProblem:
     """Two vessels bolted together, under internal pressure.
 
     Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first contact
@@ -80,13 +76,10 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
     Parameters
     ----------
     dim : {2, 3}
-        Axisymmetric, or a sector of 90 degrees between the planes of symmetry y = 0 and x = 0.
-    bolt : {"ring", "traction", "solid"}, optional
-        An equivalent ring (default in 2D), a given traction on both flanges, or solid bolts (3D).
+        Axisymmetric with an equivalent ring of bolts, or a sector of 90 degrees with solid bolts, between the planes
+        of symmetry y = 0 and x = 0.
     preload : float
-        Force of all bolts together without pressure, N: exact as traction, otherwise about.
-    shortening : float, optional
-        Shortening of the bolts, m, in place of ``preload``.
+        Force of all bolts together without pressure, N, to a few per cent.
     pressure : float
         Inside, Pa.
     friction : float
@@ -104,38 +97,27 @@ def bolted_junction(*, dim: int = 2, bolt: str | None = None, preload: float = 2
     ('upper', 'lower', 'bolt')
     """
     checks.choice("dim", dim, (2, 3))
-    bolts = ("ring", "traction") if dim == 2 else ("solid",)
-    bolt = checks.choice("bolt", bolts[0] if bolt is None else bolt, bolts)
     if flanges is None:
         flanges = Flanges() if dim == 2 else Flanges(n_bolts=8, diameter=0.034)
     checks.instance("flanges", flanges, Flanges)
     preload, pressure = checks.quantity("preload", preload, positive=True), checks.quantity("pressure", pressure)
     material = (Axisymmetric if dim == 2 else Solid)(young=young, poisson=poisson)
-    usual = shortening is None and not head_friction and (
-        preload, pressure, friction, flanges, young, poisson) == (2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)
-    model = _Model(flanges, material, bolt, _shortening(shortening, preload, bolt, flanges, material), preload)
+    usual = dim == 2 and not head_friction and (preload, pressure, friction, flanges, young, poisson) == (
+        2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)
+    reference: dict[str, object] = {"remark": _REMARK, "flanges": flanges, "pressure": pressure,
+                                    "thrust": flanges.thrust(pressure)}
+    if usual:
+        reference |= {"values": dict(_VALUES), "sources": {
+            "values": "mesh convergence of this case: contact edges of 1, 0.5 and 0.25 mm"}}
+    model = _Model(flanges, material, flanges.shortening(preload, material.young, dim))
     return ContactProblem(
-        name={"ring": "bolted junction", "traction": "bolted junction, bolts as traction",
-              "solid": "bolted junction, sector"}[bolt],
-        material=model.materials(), domain=Assembly(parts=model.parts), contact=model.pairs(),
-        law=_law(friction, head_friction, model), loads=model.loads(pressure), supports=model.supports(),
-        reference=_reference(flanges, pressure, _VALUES.get(bolt) if usual else None))
-
-
-def _shortening(value: float | None, preload: float, bolt: str, flanges: Flanges, material: Elastic) -> float:
-    if value is None:
-        return flanges.shortening(preload, material.young, material.dim)
-    if bolt == "traction":
-        raise ValueError("shortening: there are no bolts to shorten with bolt='traction'; give preload")
-    return checks.quantity("shortening", value, positive=True)
+        name="bolted junction" if dim == 2 else "bolted junction, sector", material=model.materials(),
+        domain=Assembly(parts=model.parts), contact=model.pairs(), law=_law(friction, head_friction, model),
+        loads=model.loads(pressure), supports=model.supports(), reference=reference)
 
 
 def _law(friction: float, head_friction: float | None, model: _Model) -> Law:
     friction = checks.nonnegative("friction", friction)
-    if model.bolt == "traction":
-        if head_friction is not None:
-            raise ValueError("head_friction: there are no heads with bolt='traction'")
-        return Coulomb(friction) if friction else Frictionless()
     heads = (0.0 if model.dim == 2 else 0.2) if head_friction is None else checks.nonnegative("head_friction",
                                                                                             head_friction)
     if model.dim == 3 and not heads:
@@ -145,32 +127,22 @@ def _law(friction: float, head_friction: float | None, model: _Model) -> Law:
     return Coulomb(_Friction(friction, heads, 0.5 * min(model.flanges.upper, model.flanges.lower)))
 
 
-def _reference(flanges: Flanges, pressure: float, values: Mapping[str, float] | None) -> dict[str, object]:
-    reference = {"remark": _REMARK, "flanges": flanges, "pressure": pressure, "thrust": flanges.thrust(pressure)}
-    if values is None:
-        return reference
-    return reference | {"values": dict(values), "sources": {
-        "values": "mesh convergence of this case: contact edges of 1, 0.5 and 0.25 mm"}}
-
-
 @dataclass(frozen=True)
 class _Model:
     """The parts of the problem."""
 
     flanges: Flanges
     material: Elastic
-    bolt: str
     shortening: float
-    preload: float
     parts: Mapping[str, Polygon | SolidDomain] = field(init=False)
 
     def __post_init__(self) -> None:
         f = self.flanges
-        upper, lower = _flange_section(f, f.upper, self.bolt), _mirrored(_flange_section(f, f.lower, self.bolt))
+        upper, lower = _flange_section(f, f.upper, self.dim), _mirrored(_flange_section(f, f.lower, self.dim))
         parts: dict[str, Polygon | SolidDomain] = {"upper": upper, "lower": lower}
-        if self.bolt == "ring":
+        if self.dim == 2:
             parts["bolt"] = _ring_section(f)
-        elif self.bolt == "solid":
+        else:
             places = _bolt_places(f)
             parts = {name: _drilled(part, f, places) for name, part in parts.items()}
             parts |= {f"bolt{k}": _bolt_solid(f, place) for k, place in enumerate(places)}
@@ -185,7 +157,7 @@ class _Model:
         return tuple(name for name in self.parts if name.startswith("bolt"))
 
     def materials(self) -> Elastic | dict[str, Elastic]:
-        if self.bolt != "ring":
+        if self.dim == 3:
             return self.material
         # each bolt contracts towards its own axis, not towards that of the vessels
         ring = Axisymmetric(young=self.material.young, poisson=0.0)
@@ -201,9 +173,6 @@ class _Model:
         wall = math.pi * ((f.bore + f.wall)**2 - f.bore**2)
         inside = tuple(Pressure(f"{side}.bore", pressure) for side in ("upper", "lower"))
         end = Traction("upper.pipe", (0.0,) * (self.dim - 1) + (f.thrust(pressure) / wall,))
-        if self.bolt == "traction":
-            on_seat = self.preload / (2 * math.pi * f.bolt_circle * f.seat)
-            return (*(Pressure(f"{side}.seat", on_seat) for side in ("upper", "lower")), *inside, end)
         strain = (0.0,) * (self.dim - 1) + (-self.shortening / f.clamped,)
         return (*(InitialStrain(name, strain) for name in self.bolts), *inside, end)
 
@@ -238,7 +207,7 @@ class Flanges:
     bolt_circle: float = 0.240  # radius on which the bolts stand
     n_bolts: int = 16
     diameter: float = 0.024  # of the shank of a bolt
-    seat: float = 0.020  # radial width of the heads of the equivalent ring, and of the ring of a bolt traction
+    seat: float = 0.020  # radial width of the heads of the equivalent ring
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.positive, "bore", "wall", "length", "outer", "upper", "lower", "bolt_circle",
@@ -300,12 +269,12 @@ class Flanges:
         return preload * self.clamped / young * (1 / self.bolt_area + 1 / _CLAMPED[dim])
 
 
-def _flange_section(flanges: Flanges, thickness: float, bolt: str) -> Polygon:
+def _flange_section(flanges: Flanges, thickness: float, dim: int) -> Polygon:
     """The upper flange, the joint at z = 0."""
     f, wall = flanges, flanges.bore + flanges.wall
     # the seat of a ring is a little wider than its heads
-    half = 0.5 * f.seat * (1.0 if bolt == "traction" else 1.2)
-    seat = [] if bolt == "solid" else [((f.bolt_circle + half, thickness), "seat"),
+    half = 0.6 * f.seat
+    seat = [] if dim == 3 else [((f.bolt_circle + half, thickness), "seat"),
                                        ((f.bolt_circle - half, thickness), "face")]
     corners = [((f.bore, 0.0), "joint"), ((f.outer, 0.0), "rim"), ((f.outer, thickness), "face"), *seat,
                ((wall, thickness), "wall"), ((wall, f.length), "pipe"), ((f.bore, f.length), "bore")]

@@ -101,7 +101,7 @@ def test_arguments_of_the_case_are_set(command):
     wanted = am.solve(am.Hierarchy.uniform(problem, divisions=(2, 4)), am.FullMultigrid())
     assert code == 0 and json.loads(out)["max_displacement"] == float(
         np.linalg.norm(wanted.displacement, axis=1).max())
-    assert command("solve", "bolted_junction", "--set", "bolt=traction", "--sizes", "20e-3,12e-3")[0] == 0
+    assert command("solve", "coulomb_transition", "--set", "kind=stick", "--sizes", "0.2,0.1")[0] == 0
 
 
 def test_a_run_that_does_not_converge_ends_with_code_1(command):
