@@ -45,7 +45,7 @@ _STEEPEST = 30.0
 def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0, pressure: float = 1e8,  # noqa: B008
                     side_pressure: float = 0.0, young: float = 2.1e11, poisson: float = 0.3, size: float = 0.1
                     ) -> ContactProblem:
-    """Two blocks of one material, one on the other, under uniform stress: the patch test of contact.
+    """Pose two blocks of one material, one on the other, under uniform stress: the patch test of contact.
 
     Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons, or
     their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the tangential one)
@@ -146,7 +146,7 @@ _GRAVITY = 9.80665
 
 def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1, height: float = 0.05,  # noqa: B008
             density: float = 2000.0, young: float = 1e9, poisson: float = 0.3) -> ContactProblem:
-    """A block on a tilted elastic slab under its own weight; plane strain.
+    """Pose a block on a tilted elastic slab under its own weight; plane strain.
 
     The block of weight W presses on the slab with W cos(angle) and pulls down it with W sin(angle): it rests if and
     only if tan(angle) <= mu. The gravity points down; the slab is held at its underside.
@@ -210,7 +210,7 @@ _LENGTH, _WIDTH = 0.1, 0.02
 
 def leaning_strut(*, law: Law = Coulomb(0.6), angle: float = 20.0, traction: float = 3e6,  # noqa: B008
                   direction: float = 4.5, young: float = 2e11, poisson: float = 0.3) -> ContactProblem:
-    """A strut, 100 mm long and 20 mm thick, that leans on a rigid plane: the same load has three equilibria.
+    """Pose a strut, 100 mm long and 20 mm thick, that leans on a rigid plane: one load has three equilibria.
 
     Its foot is so curved that one node touches. Along its axis it is stiff, across it soft, so that a force along the
     plane also presses the foot on: for friction above tan(angle), about, the foot may stick, slip or have lifted off,

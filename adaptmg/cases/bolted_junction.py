@@ -64,7 +64,7 @@ class _Friction:
 def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4e6, friction: float = 0.2,
                     head_friction: float | None = None, flanges: Flanges | None = None, young: float = 2.1e11,
                     poisson: float = 0.3) -> ContactProblem:
-    """Two vessels bolted together, under internal pressure.
+    """Pose two vessels bolted together, under internal pressure.
 
     Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first contact
     pair is the joint. Along a load path the bolts are tightened before the vessels are filled if the loads on

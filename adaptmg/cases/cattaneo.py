@@ -75,7 +75,7 @@ class PartialSlip:
 
 def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 1.5e4, radius: float = 50e-3,  # noqa: B008
              young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
-    """A cylinder on a block of the same material under a normal and a tangential load.
+    """Pose a cylinder on a block of the same material under a normal and a tangential load.
 
     Bodies and meshes are those of :func:`~adaptmg.cases.hertz.hertz_cylinder`; ``reference`` also holds, with a
     constant coefficient of friction, ``stick`` (c, m) and ``partial_slip`` (:class:`PartialSlip`).

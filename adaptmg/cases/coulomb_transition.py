@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign: str = "+",  # noqa: B008
                        pressure: float = 1e8, young: float = 1.3e11, poisson: float = 0.2) -> ContactProblem:
-    """A transition of contact states with its exact solution; plane strain.
+    """Pose a transition of contact states with its exact solution; plane strain.
 
     ``reference`` holds ``field`` (:class:`TransitionField`), ``exponent``, ``transition`` (0.0, m) and ``uniform_rate``
     (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).

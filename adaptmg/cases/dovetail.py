@@ -49,7 +49,7 @@ _DEFAULTS = {"angle": 50.0, "clearance": 0.0, "pull": 100e6, "clamp": 120e6, "yo
 
 def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float = 0.0, pull: float = 100e6,  # noqa: B008
              clamp: float = 120e6, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
-    """The dovetail joint; a reconstruction with our own geometry and loads.
+    """Pose the dovetail joint; a reconstruction with our own geometry and loads.
 
     Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name -> position,
     m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state -> ranges of depth below the mouth,

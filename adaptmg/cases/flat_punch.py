@@ -54,7 +54,7 @@ class PunchPressure:
 
 def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: float = 10e-3,  # noqa: B008
                young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
-    """A flat rigid punch on a block 40 half-widths deep and 80 wide; plane strain, one half by symmetry.
+    """Pose a flat rigid punch on a block 40 half-widths deep and 80 wide; plane strain, one half by symmetry.
 
     ``reference`` holds, without friction, ``pressure`` (:class:`PunchPressure`, of x in m), ``exponent`` (of the
     singularity at the edge) and ``sources``.

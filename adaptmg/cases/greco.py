@@ -52,7 +52,7 @@ _DEFAULTS = {"top_pressure": 5e7, "side_pressure": 15e7, "young": 1.3e11, "poiss
 
 def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
               young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3) -> ContactProblem:
-    """The GRECO bar.
+    """Pose the GRECO bar.
 
     ``reference`` holds ``quantity``, ``points`` (name -> position, m), ``values`` (source -> point -> m), ``sources``,
     ``remark`` and ``zones`` (state -> range of x, m) for the default parameters, without friction for all with
@@ -111,7 +111,7 @@ def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float
 def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
                 young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3, depth: float = 40e-3,
                 plane_strain: bool = True) -> ContactProblem:
-    """The GRECO bar as a solid: a box pressed on the plane z = 0 and pushed along x.
+    """Pose the GRECO bar as a solid: a box pressed on the plane z = 0 and pushed along x.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ class ParabolicGap:
 def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pressure: float = 5e7,  # noqa: B008
                     side_pressure: float = 15e7, young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3
                     ) -> ContactProblem:
-    """The GRECO bar in front of a curved obstacle: the contact zone is unknown.
+    """Pose the GRECO bar in front of a curved obstacle: the contact zone is unknown.
 
     The gap under the bottom is (size - x)^2 / (2 radius).
 
@@ -196,7 +196,7 @@ _EXPONENTS = {0.2: 0.781, 0.3: 0.711}
 
 def upset_block(*, law: Law = Coulomb(0.5), top_pressure: float = 5e7, young: float = 1.3e11,  # noqa: B008
                 poisson: float = 0.2, size: float = 40e-3) -> ContactProblem:
-    """The GRECO bar without side pressure, friction 0.5.
+    """Pose the GRECO bar without side pressure, friction 0.5.
 
     Friction holds the foot, so that sticking contact meets the free 90 degree corner at x = 0: there u ~ r^lambda with
     lambda < 1.

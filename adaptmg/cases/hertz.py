@@ -150,7 +150,7 @@ class PointContact(HertzContact):
 
 def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: float = 50e-3,  # noqa: B008
                    lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
-    """A cylinder on a block, or on another cylinder; plane strain, one half by symmetry.
+    """Pose a cylinder on a block, or on another cylinder; plane strain, one half by symmetry.
 
     Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``half_width`` (m), ``peak``
     (Pa), ``closed_form`` (:class:`LineContact`), ``sources`` and ``remark``. Meshes should be fine at the origin
@@ -183,7 +183,7 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
 
 def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.0, radius: float = 50e-3,  # noqa: B008
                  lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
-    """A ball on a block, or on another ball.
+    """Pose a ball on a block, or on another ball.
 
     ``reference`` is that of :func:`hertz_cylinder` with a :class:`PointContact`, and ``approach`` (m).
 

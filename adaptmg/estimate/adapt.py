@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -127,7 +127,7 @@ def adapt(problem: ContactProblem,
         head = {"fingerprint": loop_fingerprint(first, options, load_path, depends)}
         steps = StepStore.resumed(store, "loop.json", head, LOOP_KINDS)
     report = _written if progress is True else progress or None
-    return AdaptiveLoop(first, parts, limits, steps, report).steps()
+    return cast("Iterator[Step[Found]]", AdaptiveLoop(first, parts, limits, steps, report).steps())
 
 
 def _written(row: dict[str, float | str]) -> None:
@@ -189,7 +189,7 @@ def _checked(problem: ContactProblem, start: Hierarchy, transfer: Transfer | Non
     return start
 
 
-def _of_size(problem: ContactProblem, start: float | None, transfer: Transfer | None, engine: Engine, limits: Limits
+def _of_size(problem: ContactProblem, start: Real | None, transfer: Transfer | None, engine: Engine, limits: Limits
              ) -> Hierarchy:
     """With a mesh of an element size, m, or of the default one; refused before Netgen works for minutes."""
     from adaptmg.mesh.netgen_plane import NODES_PER_CELL

@@ -185,7 +185,7 @@ class Doerfler:
         object.__setattr__(self, "theta", _share(self.theta))
 
     def mark(self, estimate: Estimate | np.ndarray) -> np.ndarray:
-        """The marked elements (n_elements,), bool, of an estimate or of its squares (n_elements,).
+        """Return the mask (n_elements,) of the marked elements of an estimate or of its squares (n_elements,).
 
         Of elements with equal squares those with the lowest numbers come first; none are marked where all are 0.
         """
@@ -222,7 +222,7 @@ class Maximum:
         object.__setattr__(self, "theta", _share(self.theta))
 
     def mark(self, estimate: Estimate | np.ndarray) -> np.ndarray:
-        """The marked elements (n_elements,), bool, of an estimate or of its squares (n_elements,)."""
+        """Return the mask (n_elements,) of the marked elements of an estimate or of its squares (n_elements,)."""
         squares = _squares(estimate)
         return (squares >= self.theta * squares.max()) & (squares > 0)
 

@@ -63,7 +63,7 @@ class Quantity(Protocol):
     """What a goal may ask for; a user-defined quantity is any object with this method."""
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """The quantity, or several, of a solution."""
+        """Return the quantity, or several, of a solution."""
 
 
 def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
@@ -187,58 +187,58 @@ class Goal:
         """
         this = posed(hierarchy, result)
         view = GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
-        wanted = [functional for item in self.quantities for functional in checked_functionals(view, item)]
-        names = tuple(one.name for one in wanted)
+        functionals = [one for item in self.quantities for one in checked_functionals(view, item)]
+        names = tuple(one.name for one in functionals)
         if len(set(names)) < len(names):
             raise ValueError(f"quantity: one is given twice, {', '.join(names)}")
-        sizes = _sizes(wanted)
-        system, vectors = adjoint_system(view.contact), [one.vector for one in wanted]
+        sizes = _sizes(functionals)
+        system, vectors = adjoint_system(view.contact), [one.vector for one in functionals]
         direct = len(hierarchy) == 1 or this.discrete.n_dofs <= DIRECT
         duals = system.direct(vectors) if direct else system.multigrid(hierarchy, vectors)
-        error, parts, signed = _bubbles(view, wanted, duals)
+        error, parts, signed = _bubbles(view, functionals, duals)
         energy = error.energy / this.norm if this.norm > 0 else 0.0
-        algebraic = np.array([_algebraic(view, *pair) for pair in zip(wanted, duals, strict=True)])
+        algebraic = np.array([_algebraic(view, *pair) for pair in zip(functionals, duals, strict=True)])
         errors = signed + algebraic
         worst = int(np.argmax(np.abs(errors / sizes)))
         squares = [view.bubbles.on_elements(part / size) for part, size in zip(parts, sizes, strict=True)]
-        values = np.array([one.value for one in wanted])
+        values = np.array([one.value for one in functionals])
         return GoalEstimate(
             squares=sum(squares), norm=this.norm, terms={name: part.sum() for name, part in zip(names, squares,
                                                                                              strict=True)},
             indicator=f"dual-weighted residuals for {names[0]}" + (f" and {len(names) - 1} more" if len(names) > 1
                                                                    else ""),
-            value=1.0 if len(wanted) > 1 else float(values[0]), signed=float(errors[worst] / sizes[worst]),
-            names=names, units=tuple(one.unit for one in wanted), values=values, errors=errors, algebraic=algebraic,
-            discretisation=energy, residuals=np.array([dual.residual for dual in duals]),
+            value=1.0 if len(functionals) > 1 else float(values[0]), signed=float(errors[worst] / sizes[worst]),
+            names=names, units=tuple(one.unit for one in functionals), values=values, errors=errors,
+            algebraic=algebraic, discretisation=energy, residuals=np.array([dual.residual for dual in duals]),
             iterations=sum(dual.iterations for dual in duals), converged=all(dual.converged for dual in duals))
 
 
-def _sizes(wanted: list[Functional]) -> np.ndarray:
+def _sizes(functionals: list[Functional]) -> np.ndarray:
     """What each quantity is related to: 1 of a single one, else the size of its value."""
-    if len(wanted) == 1:
+    if len(functionals) == 1:
         return np.ones(1)
-    sizes = np.array([abs(functional.value) for functional in wanted])
+    sizes = np.array([abs(functional.value) for functional in functionals])
     if not sizes.min() > 0:
-        raise ValueError(f"quantity: {wanted[int(np.argmin(sizes))].name} is zero, and several quantities are taken "
-                         "relative to their values: estimate it alone")
+        raise ValueError(f"quantity: {functionals[int(np.argmin(sizes))].name} is zero, and several quantities are "
+                         "taken relative to their values: estimate it alone")
     return sizes
 
 
-def _bubbles(view: GoalView, wanted: list[Functional], duals: list[AdjointSolution]
+def _bubbles(view: GoalView, functionals: list[Functional], duals: list[AdjointSolution]
              ) -> tuple[BubbleError, np.ndarray, np.ndarray]:
     """The error in the bubbles, the parts that mark (n_goals, n_edges), and the signed errors (n_goals,)."""
     this, bubbles = view.posed, view.bubbles
     blocks, actions = bubbles.actions(np.array([this.result.displacement,
                                                 *(this.discrete.physical(dual.field) for dual in duals)]))
-    reactions = [view.contact.residual, *(_reaction(view, *pair) for pair in zip(wanted, duals, strict=True))]
-    loads = [bubbles.load() + _friction_work(view), *(one.bubbles for one in wanted)]
+    reactions = [view.contact.residual, *(_reaction(view, *pair) for pair in zip(functionals, duals, strict=True))]
+    loads = [bubbles.load() + _friction_work(view), *(one.bubbles for one in functionals)]
     residual, *weighted = [load - action + _master_work(view, reaction)
                            for load, action, reaction in zip(loads, actions, reactions, strict=True)]
     error = bubble_error(bubbles, bubble_spaces(bubbles, view.contact), blocks, residual)
     parts = np.abs(np.einsum("gnd,nd->gn", weighted, error.alone))
     # whether the contact state alone, and no support, leaves a quantity no way to change
     held = [not dual.field.any() and functional.vector[~this.discrete.fixed].any()
-            for functional, dual in zip(wanted, duals, strict=True)]
+            for functional, dual in zip(functionals, duals, strict=True)]
     if any(held):
         # of what the state does not let change the dual field contains nothing, but a finer mesh may have another
         # state: the parts of the energy; in all a relative error of the displacement as large as that of the energy
@@ -247,8 +247,8 @@ def _bubbles(view: GoalView, wanted: list[Functional], duals: list[AdjointSoluti
         energy = error.energy / this.norm if this.norm > 0 else 0.0
         moved = float(np.abs(view.contact.unknowns).max(initial=0.0))
         for k in np.flatnonzero(held):
-            parts[k] = shares * energy * moved * float(np.abs(wanted[k].vector).sum())
-    geometry = np.array([np.zeros(parts.shape[1]) if one.geometry is None else one.geometry for one in wanted])
+            parts[k] = shares * energy * moved * float(np.abs(functionals[k].vector).sum())
+    geometry = np.array([np.zeros(parts.shape[1]) if one.geometry is None else one.geometry for one in functionals])
     return error, parts + np.abs(geometry), np.einsum("gnd,nd->g", weighted, error.together) + geometry.sum(axis=1)
 
 
@@ -261,14 +261,14 @@ def _friction_work(view: GoalView) -> np.ndarray:
     """Work (n_edges, dim) of the friction that does not depend on pressure on the bubbles of contact surfaces, N.
     Contact conditions of slaves are part of the spaces, in which Coulomb's friction does no work; Tresca's does, the
     part s / (s + mu p) of the friction."""
-    contact, given, mesh = view.contact, view.posed.result.contact, view.posed.mesh
+    contact, solution, mesh = view.contact, view.posed.result.contact, view.posed.mesh
     result = np.zeros((len(view.bubbles.edges), mesh.dim))
     if not contact.fixed_limit.any():
         return result
     share = np.divide(contact.fixed_limit, contact.limit, out=np.zeros_like(contact.limit), where=contact.limit > 0)
     traction = np.zeros((mesh.n_nodes, mesh.dim))
-    traction[given.node] = share[:, None] * from_frames(given.frames[:, 1:], given.traction)
-    for name in given.names:
+    traction[solution.node] = share[:, None] * from_frames(solution.frames[:, 1:], solution.traction)
+    for name in solution.names:
         surface = mesh.surface(name)
         result += view.bubbles.boundary_work(surface, traction[surface.facets])
     return result

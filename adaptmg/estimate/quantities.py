@@ -82,7 +82,7 @@ class Displacement:
             checks.boundary_name("body", self.body)
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """One functional a point."""
+        """Return one functional a point."""
         mesh, points = view.posed.mesh, np.array(self.points)
         k, u = _axis("component", self.component, mesh.dim), view.posed.result.displacement
         if points.shape[1] != mesh.dim:
@@ -136,7 +136,7 @@ class MeanDisplacement:
         _axis("component", self.component)
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """One functional."""
+        """Return the functional."""
         mesh = view.posed.mesh
         k, surface = _axis("component", self.component, mesh.dim), mesh.surface(self.boundary)
         shares = surface.shape_integrals(view.bubbles.axisymmetric)
@@ -195,7 +195,7 @@ class ContactForce:
             _axis("direction", self.direction)
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """One functional."""
+        """Return the functional."""
         contact, discrete, dim = view.contact, view.posed.discrete, view.posed.mesh.dim
         mine, sign = _contact_mask(view, self.boundary)
         local, named = np.zeros((len(mine), dim)), self.direction in ("normal", "tangential")
@@ -256,7 +256,7 @@ class Opening:
             object.__setattr__(self, "point", tuple(float(c) for c in point))
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """One functional."""
+        """Return the functional."""
         contact, result, mesh = view.contact, view.posed.result.contact, view.posed.mesh
         mine, sign = _contact_mask(view, self.boundary)
         if sign < 0:

@@ -61,7 +61,7 @@ class Reference:
 
     @classmethod
     def of(cls, hierarchy: Hierarchy, result: Result, *, own_error: float | None = None) -> Reference:
-        """From a result on the finest mesh of a hierarchy, solved far below the errors to be measured.
+        """Return that of a result on the finest mesh of a hierarchy, solved far below the errors to be measured.
 
         ``own_error`` is ||u - u_H||, sqrt(N m); by default the estimate of :class:`adaptmg.Recovery`.
         """
@@ -79,7 +79,7 @@ class Reference:
         return cls(this.problem, this.norm**2, checks.nonnegative("own_error", own_error), points, on_body, constants)
 
     def against(self, result: Result) -> float:
-        """a(u, u_h) of a result, N m."""
+        """Return a(u, u_h) of a result, N m."""
         mesh, u = result.mesh, result.displacement
         product = float(load_vector(mesh, self.problem.loads, self.problem.material) @ u.reshape(-1))
         for body, points in self.points.items():
@@ -93,7 +93,7 @@ class Reference:
 
 
 def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result) -> EnergyError:
-    """The error of a result in the energy norm.
+    """Return the error of a result in the energy norm.
 
     As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0. ValueError without
     a mesh, for other bodies, or where the squared error comes out negative.

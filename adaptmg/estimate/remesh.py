@@ -84,7 +84,7 @@ class Remesh:
 
     def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: object = None,
                max_nodes: int | None = None) -> MeshArrays:
-        """The next mesh.
+        """Return the next mesh.
 
         Sizes follow from all squares of the estimate; ``marked`` is ignored. The mesh has about ``growth`` times as
         many nodes, within 15 %, less where ``max_nodes`` (5 % less are aimed at) or ``finest`` says so. TypeError or
@@ -115,7 +115,7 @@ class Remesh:
         return _resolving(mesh, sizes, problem.pair_boundaries, _GRADATION)
 
     def intermediate(self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays) -> MeshArrays:
-        """A mesh between two neighbouring levels whose sizes differ too much: by the geometric mean of both sizes.
+        """Return a mesh between two neighbouring levels, of the geometric mean of both sizes.
 
         A size ratio of q between the two becomes about the root of q to either side.
         """
@@ -123,7 +123,7 @@ class Remesh:
         return self.mesh(problem, mean_sizes(coarse, fine, _GRADATION))
 
     def mesh(self, problem: ContactProblem, field: SizeField) -> MeshArrays:
-        """A mesh of the problem's domain by a size field."""
+        """Mesh the problem's domain by a size field."""
         from adaptmg.mesh import sized
 
         functions = {body: field.function(body) for body in field.mesh.bodies}
