@@ -53,7 +53,7 @@ class Bisect:
 
     Processor time to the same estimate, that of :class:`Remesh` over that of bisection, on eight cases: 1.1 (a ball) to
     2.5, 3.8 in 3D. The same estimate is a somewhat larger error here; remeshing needs fewer nodes at strong
-    singularities, and its meshes have better shapes where the first mesh is irregular.
+    singularities.
 
     Parameters
     ----------
