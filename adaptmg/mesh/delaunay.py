@@ -23,8 +23,10 @@ class Untriangulated(ValueError):
     """A domain whose boundary the triangulation does not hold."""
 
 
-def of_boundary(places: np.ndarray, following: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangles inside a boundary, their neighbours, and which edges from each node to the next are among them."""
+def of_boundary(places: np.ndarray, following: np.ndarray, spread: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The triangles inside a boundary, their neighbours, and which edges from each node to the next are among them. If
+    ``spread``, every second node comes last, and so on: one after the other around a thin ring each would swap all the
+    edges across it."""
     n = len(places)
     low, high = places.min(axis=0), places.max(axis=0)
     corners = 0.5 * (low + high) + 5 * (high - low).max() * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0],
@@ -34,8 +36,11 @@ def of_boundary(places: np.ndarray, following: np.ndarray) -> tuple[np.ndarray, 
     across[0, 1], across[1, 2] = 1, 0
     found = np.zeros(n, dtype=bool)
     points, count, e = np.concatenate([places, corners]), 2, 0
+    order = np.arange(n)
+    if spread:
+        order = order[np.argsort(-(order & -order), kind="stable")]
     for begin in range(0, n, BATCH):
-        count, e = _put(points, elements, across, begin, min(n, begin + BATCH), count, e)
+        count, e = _put(points, elements, across, order[begin:begin + BATCH], count, e)
         if e < 0:
             raise Untriangulated(f"nodes at {places[begin:begin + 1]}")
     at, missing = np.empty(n + 4, dtype=np.int64), np.zeros(n, dtype=bool)
@@ -113,11 +118,11 @@ def insert(points, elements, across, n, e, p, settled):
 
 
 @kernel
-def _put(points, elements, across, begin, end, count, e):
+def _put(points, elements, across, nodes, count, e):
     """Put nodes into the triangles, the way to the first from triangle e. Returns the number of triangles and the last
     one; -1 where a node lies on another one."""
     settled = np.empty(len(elements), dtype=np.bool_)
-    for p in range(begin, end):
+    for p in nodes:
         e, before = walk(points, elements, across, e, p), count
         if e >= 0:
             count = insert(points, elements, across, count, e, p, settled)

@@ -58,8 +58,9 @@ def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], gro
     field = _beside_short_edges(edges, domain.lengths, field)
     middle, scale = 0.5 * (domain.lower + domain.upper), 2.0**math.frexp((domain.upper - domain.lower).max())[1]
     least = field
-    for _ in range(_PASSES):
-        places, counts, following, elements, across = _laid(domain, edges, field, growth, middle, scale)
+    for k in range(_PASSES):
+        places, counts, following, elements, across = _laid(domain, edges, field, growth, middle, scale,
+                                                            spread=k > 0 or len(domain.holes) > 0)
         feet, sizes = _thin_parts(places, elements, across)
         thin = sizes > least(feet) / _DEEPEST
         if not thin.any():
@@ -74,7 +75,7 @@ def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], gro
 
 
 def _laid(domain: Outline, edges: list, field: Callable[[np.ndarray], np.ndarray], growth: float | None,
-          middle: np.ndarray, scale: float) -> tuple[np.ndarray, ...]:
+          middle: np.ndarray, scale: float, spread: bool) -> tuple[np.ndarray, ...]:
     """Nodes along the edges, their number on each, the one after each; triangles between them and their neighbours."""
     fractions = _spaced(domain, edges, domain.lengths, field, growth)
     for _ in range(_CUTS):
@@ -89,7 +90,7 @@ def _laid(domain: Outline, edges: list, field: Callable[[np.ndarray], np.ndarray
         if not step < _RESOLVED * shortest:
             raise ValueError(f"coordinates of {domain!r} differ by {step:.1g} m at least, edges of the mesh are "
                              f"{shortest:.1g} m long; move it nearer to the origin, or take larger sizes")
-        elements, across, found = of_boundary((places - middle) / scale, following)
+        elements, across, found = of_boundary((places - middle) / scale, following, spread)
         if found.all():
             return places, counts, following, elements, across
         for i, (begin, n) in enumerate(zip(first, counts, strict=True)):
@@ -172,11 +173,14 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
             field: Callable[[np.ndarray], np.ndarray], growth: float | None) -> tuple[np.ndarray, np.ndarray]:
     """Nodes put into the triangles of a boundary."""
     points, n, n_elements, n_read = places, len(places), len(elements), 0
-    sizes, settled = np.empty(0), np.zeros(n_elements, dtype=bool)
+    sizes, settled = np.empty(0), np.empty(0, dtype=bool)
     while True:
         # sizes are interpolated at new nodes, and read there before there are four times as many
-        room = 3 * n
-        sizes = np.concatenate([sizes[:n_read], field(points[n_read:n]), np.empty(room)])
+        room = 4 * n
+        if len(points) < room:
+            points, sizes = (_longer(table, 2 * room) for table in (points, sizes))
+            elements, across, settled = (_longer(table, n_elements + 4 * room) for table in (elements, across, settled))
+        sizes[n_read:n] = field(points[n_read:n])
         dips = np.empty(0)
         if growth is not None:
             # every triangle that is new holds a node that is new
@@ -187,20 +191,23 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
             for _ in range(n):
                 if not _limit(points, elements[:n_elements], sizes, growth):
                     break
-        points = np.concatenate([points[:n], np.empty((room, 2))])
-        spare = np.empty((2 * room, 3), dtype=np.int32)
-        elements, across = (np.concatenate([table[:n_elements], spare]) for table in (elements, across))
-        settled = np.concatenate([settled[:n_elements], np.zeros(len(spare), dtype=bool)])
         cells = _look(points, sizes, elements[:n_elements], n_read, settled)
         refuse_too_many(NODES_PER_CELL[2] * cells, domain)
         n_read = n
-        for most in range(n_read + BATCH, len(points) + BATCH, BATCH):
-            most = min(most, len(points))
+        for most in range(n_read + BATCH, room + BATCH, BATCH):
+            most = min(most, room)
             n, n_elements = _fill(points, sizes, elements, across, n, n_elements, most, n_read, settled, dips)
             if n < most:
                 break
         if n == n_read:
             return points[:n], elements[:n_elements]
+
+
+def _longer(table: np.ndarray, rows: int) -> np.ndarray:
+    """The table with room; what is not used takes no memory yet."""
+    result = np.zeros((rows, *table.shape[1:]), table.dtype)
+    result[:len(table)] = table
+    return result
 
 
 def _mesh(domain: Outline, points: np.ndarray, elements: np.ndarray, following: np.ndarray, edge: np.ndarray
