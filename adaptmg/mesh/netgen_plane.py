@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from adaptmg._numba import kernel
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised, sound_by_construction, swept
 from adaptmg.mesh.domains import boundary_measures, extent
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
-from adaptmg.mesh.soundness import check_mesh, with_source
+from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.plane_domains import Domain, Outline
 
 SizeField = Callable[[np.ndarray], np.ndarray]
@@ -42,23 +42,30 @@ NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 def netgen_mesh(domain: Outline, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
                 grading: float, rounds: int) -> MeshArrays:
-    """Mesh a domain by a size field, or by one a round."""
+    """A mesh by a size field, or by one a round, not checked."""
     lower, scale = extent(domain)
     nodes = refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
+    sides = {name: h / scale for name, h in side_sizes.items()}
     at: SizesAt = []
     for step in range(rounds + 1):
         options = {"maxh": max_size / scale, "grading": grading}
         # the steps that improve shapes take most of the time: here only nodes and centroids are used
         if not callable(sizes) and step < rounds:
             options |= {"optsteps2d": 0}
-        mesh = _one_mesh(domain, lower, scale, {name: h / scale for name, h in side_sizes.items()}, options, at, nodes)
+        try:
+            with netgen() as worker:
+                unit = normalised(*worker("mesh_plane", domain, lower, scale, sides, options, at,
+                                          seconds=meshing_limit(nodes, 2)))
+        except ValueError as error:
+            raise netgen_error(domain, error) from error
+        mesh = _onto_outline(domain, replace(unit, points=lower + scale * unit.points, bodies=("body",)))
         if step < rounds:
             places = mesh.points[mesh.elements].mean(axis=1)
             wanted = (sizes if callable(sizes) else sizes[step])(places)
             nodes = refuse_too_many(expected_nodes(mesh, wanted), domain)
             small = wanted < max_size
             at = [((places[small] - lower) / scale, wanted[small] / scale)]
-    return with_source(mesh)
+    return mesh
 
 
 def growth(value: float) -> float:
@@ -101,29 +108,6 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
         for name, h in side_sizes.items():
             cells += areas[name] / ((domain.dim - 1) * grading) * np.float64(1 / h) ** (domain.dim - 1)
     return float(NODES_PER_CELL[domain.dim] * cells)
-
-
-def _one_mesh(domain: Outline, lower: np.ndarray, scale: float, sides: Mapping[str, float],
-              options: Mapping[str, float], sizes: SizesAt, nodes: float) -> MeshArrays:
-    """One call of Netgen on the scaled domain: the mesh in m, checked for its area only."""
-    try:
-        with netgen() as worker:
-            unit = normalised(*worker("mesh_plane", domain, lower, scale, sides, options, sizes,
-                                      seconds=meshing_limit(nodes, 2)))
-    except ValueError as error:
-        raise netgen_error(domain, error) from error
-    mesh = _onto_outline(domain, replace(unit, points=lower + scale * unit.points, bodies=("body",)))
-    # the exact area, less what chords cut off arcs
-    area = domain.area
-    for i in domain.arcs:
-        arc = domain.arc(i)
-        a, b = mesh.points[mesh.boundary_facets(str(i))].transpose(1, 0, 2) - np.array(arc.center)
-        turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
-        area -= 0.5 * arc.radius**2 * float(np.sum(turns - np.sin(turns)))
-    if not abs(mesh.volumes.sum() - area) <= 1e-9 * area:
-        raise ValueError(f"Netgen meshed {mesh.volumes.sum():.9g} instead of {area:.9g} of {domain!r}; "
-                         "change the sizes a little")
-    return mesh
 
 
 def netgen_error(domain: Domain, why: Exception) -> ValueError:
