@@ -104,7 +104,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     Raises
     ------
     TypeError, ValueError
-        On an unknown domain or boundary, sizes <= 0, a ratio < 1, an outline that crosses itself, sizes that ask for
+        On an unknown domain or boundary, sizes <= 0, a ratio < 1, sizes that ask for
         more than 5 million nodes (3D: 2 million), or where Netgen fails or does not finish.
 
     Examples

@@ -255,13 +255,8 @@ def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
     raise netgen_error(domain, why) from why
 
 
-def shape_tables(worker: Netgen, face_sizes: Mapping[int, float], options: Mapping[str, float], sizes: SizesAt,
-                 nodes: float) -> MeshArrays:
-    """Netgen's mesh of the solid that a process holds; NetgenFails if it is not sound."""
-    return _sound(worker("mesh_shape", face_sizes, options, sizes, seconds=meshing_limit(nodes, 3)))
-
-
 def _sound(tables: Sequence) -> MeshArrays:
+    """The mesh of some tables; NetgenFails if it is not sound."""
     try:
         return check_mesh(normalised(*tables))
     except ValueError as error:
@@ -278,7 +273,8 @@ def _netgen_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, groups: dict[s
     at: SizesAt = []
     for k in range(rounds + 1):
         # of a draft only its sizes matter: optimising takes most of the time
-        unit = shape_tables(worker, face_sizes, options | ({"optsteps3d": 0} if k < rounds else {}), at, nodes)
+        unit = _sound(worker("mesh_shape", face_sizes, options | ({"optsteps3d": 0} if k < rounds else {}), at,
+                             seconds=meshing_limit(nodes, 3)))
         if k < rounds:
             mesh = _placed(unit, shape)
             centroids = mesh.points[mesh.elements].mean(axis=1)
