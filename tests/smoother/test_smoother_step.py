@@ -106,6 +106,31 @@ def test_what_every_sweep_keeps(case, seed=1):
     assert np.linalg.norm(last) <= 1e-9 * max(force, np.abs(problem.system.diagonal).max() * np.abs(w).max())
 
 
+@every_case
+def test_the_natural_residual_is_the_jacobi_step(case):
+    """At the first contact node of a sweep it is D times the step with the bound frozen, elsewhere the residual."""
+    problem, exact, _ = posed(case)
+    system, dim = problem.system, problem.system.dim
+    w = random_start(problem, 5, np.abs(exact).max())
+    vector = natural_residual(system, problem.contact, problem.load, w).reshape(-1, dim)
+    linear = residual(system, problem.load, w)
+    np.testing.assert_array_equal(vector.ravel(), natural_residual(system, problem.contact, problem.load, w, linear))
+    frozen = frozen_at(problem, w)
+    first = int(system.nodes.min())
+    # nodes before it are not visited: they do not move
+    rows = np.zeros((system.n_nodes, dim), dtype=bool)
+    rows[:first] = True
+    still = replace(system, inverse=np.where(np.repeat(rows.any(axis=1), dim * dim), 0.0, system.inverse))
+    moved = w.copy()
+    smooth(replace(frozen, system=still), moved)
+    block = system.diagonal.reshape(-1, dim, dim)[first]
+    scale = np.abs(system.diagonal).max() * np.abs(w).max()
+    if problem.contact.held is None:
+        np.testing.assert_allclose(vector[first], block @ (moved - w).reshape(-1, dim)[first], atol=1e-11 * scale)
+    elsewhere = np.setdiff1d(np.arange(system.n_nodes), system.nodes)
+    np.testing.assert_array_equal(vector[elsewhere], linear.reshape(-1, dim)[elsewhere])
+
+
 @every_network
 def test_sweeps_converge_to_the_solution_of_the_dual_problem(dim, law):
     problem, exact, _ = posed(f"network {dim}D {law}")
