@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.corrections import sliding_limit
 from adaptmg.multigrid.cycle import project
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.factorisation import Condensed, condense
-from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, State, StopTest, WholeSteps, iterate
+from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, StopTest, WholeSteps, iterate
 from adaptmg.solver.record import Outcome, Run, Status
 
 
@@ -32,9 +29,6 @@ class SingleGrid:
     condensed : bool
         Eliminate all but the contact dofs first (one factorisation, reported as time, not as work units) and sweep
         on the dense Schur complement, whose entries are counted.
-    friction : {"diagonal", "fixed point"}
-        Coulomb: update the sliding limit with every node solve (the paper's diagonal process), or solve Tresca
-        problems with the limit held and update it between them (Problems P1 and P2 of the paper).
     stop : {"error", "change"}
         Test the estimated relative A-norm error and the natural residual, or (as the paper) the relative Euclidean
         change in one sweep alone.
@@ -51,23 +45,16 @@ class SingleGrid:
 
     omega: float = 1.0
     condensed: bool = False
-    friction: str = "diagonal"
     stop: str = "error"
     rtol: float = 1e-8
     max_sweeps: int = 200_000
 
     def __post_init__(self) -> None:
-        self.smoother()
+        ProjectedGaussSeidel(omega=self.omega)  # which checks omega
         checks.flag("condensed", self.condensed)
-        checks.choice("friction", self.friction, ("diagonal", "fixed point"))
         checks.choice("stop", self.stop, ("error", "change"))
-        if self.friction == "fixed point" and self.stop != "error":
-            raise ValueError(f"stop must be 'error' with friction='fixed point', got {self.stop!r}")
         object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         checks.integer("max_sweeps", self.max_sweeps, 1)
-
-    def smoother(self) -> ProjectedGaussSeidel:
-        return ProjectedGaussSeidel(omega=self.omega)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         with run.phase("setup"):
@@ -89,28 +76,23 @@ class SingleGrid:
         # the Schur complement measures the energy of the error of the recovered solution
         reference = None if run.reference is None else restrict(local.to_local(run.reference))
         sizes = Sizes(local.discrete, local.frames) if condensed is None else _CondensedSizes(condensed)
-        new_measure = partial(Measure, run=run, reference=reference, sizes=sizes)
-        common = self.smoother(), run, unknowns, self.max_sweeps
+        sweeps = _Sweeps(problem, self, run, unknowns, Measure(problem, run=run, reference=reference, sizes=sizes))
 
         def shortfall(rtol: float) -> float:
             return run.shortfall(displacement(unknowns), rtol)
 
         with run.phase("sweeps"):
-            if self.friction == "fixed point":
-                sweeps = _TrescaProblems(problem, *common, new_measure, self.rtol)
-                stop = StopTest(self.rtol, self.max_sweeps, shortfall, stalled=None)
-                status = iterate(sweeps, stop, run)
-            elif self.stop == "change":
-                stop, sweeps = ChangeTest(self.rtol, self.max_sweeps), _Sweeps(problem, *common, new_measure, batch=1)
+            if self.stop == "change":
+                stop = ChangeTest(self.rtol, self.max_sweeps)
                 status = WholeSteps(sweeps, corrects=False).run(stop, run)
             else:
                 stop = StopTest(self.rtol, self.max_sweeps, shortfall, stalled=Status.CYCLING)
-                sweeps = _Sweeps(problem, *common, new_measure)
                 status = iterate(sweeps, stop, run)
         run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
         with run.phase("factorise" if self.condensed else "sweeps"):
             solved = displacement(unknowns)
-        return Outcome(solved, status, sweeps.cycles, self.rtol, stop.error_estimate, sweeps.rate(stop))
+        return Outcome(solved, status, sweeps.cycles, self.rtol, stop.error_estimate,
+                       stop.rate ** (1 / sweeps.batch) if np.isfinite(stop.rate) else np.nan)
 
 
 class _CondensedSizes(Sizes):
@@ -141,18 +123,18 @@ class _Sweeps(Smoothing):
     #: sweeps between the first checks; later checks come every CHECK_SHARE of the sweeps done
     FIRST_CHECK, CHECK_SHARE = 10, 0.1
 
-    def __init__(self, problem: LocalProblem, smoother: ProjectedGaussSeidel, run: Run, unknowns: np.ndarray,
-                 limit: int, new_measure: Callable[[LocalProblem], Measure], batch: int | None = None,
-                 before: int = 0) -> None:
-        super().__init__(new_measure(problem), unknowns)
-        self.problem, self.smoother, self.run, self.limit = problem, smoother, run, limit
-        self.cycles, self.before, self.batch, self._batch = before, before, 1, batch
+    def __init__(self, problem: LocalProblem, options: SingleGrid, run: Run, unknowns: np.ndarray, measure: Measure
+                 ) -> None:
+        super().__init__(measure, unknowns)
+        self.problem, self.options, self.run, self.batch = problem, options, run, 1
+        self._smoother = ProjectedGaussSeidel(omega=options.omega)
 
     def smooth(self) -> int:
-        system, done = self.problem.system, self.cycles - self.before
-        self.batch = self._batch or max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
-        times = min(self.batch, self.limit - done)
-        passes = self.smoother.smooth(system, self.problem.contact, self.problem.load, self.unknowns, times)
+        system = self.problem.system
+        if self.options.stop == "error":
+            self.batch = max(self.FIRST_CHECK, int(self.CHECK_SHARE * self.cycles))
+        times = min(self.batch, self.options.max_sweeps - self.cycles)
+        passes = self._smoother.smooth(system, self.problem.contact, self.problem.load, self.unknowns, times)
         self.run.count(passes, system.nonzeros)
         return times
 
@@ -162,39 +144,3 @@ class _Sweeps(Smoothing):
 
     def correct(self, r: np.ndarray) -> int:
         return 0
-
-    def rate(self, stop: StopTest) -> float:
-        """Convergence rate of a sweep."""
-        return stop.rate ** (1 / self.batch) if np.isfinite(stop.rate) else np.nan
-
-
-class _TrescaProblems(_Sweeps):
-    """The fixed point: Tresca problems with the limit held, which is updated until the solution no longer changes."""
-
-    #: Tresca problems at most, and how much better than rtol each is solved
-    MOST, INNER = 200, 0.1
-
-    def __init__(self, problem: LocalProblem, smoother: ProjectedGaussSeidel, run: Run, unknowns: np.ndarray,
-                 limit: int, new_measure: Callable[[LocalProblem], Measure], rtol: float) -> None:
-        super().__init__(problem, smoother, run, unknowns, limit, new_measure)
-        self._new_measure, self._rtol, self._solved = new_measure, rtol, 0
-
-    def smooth(self) -> int:
-        return 0
-
-    def step(self) -> State | Status:
-        return Status.LIMIT if self._solved == self.MOST else super().step()
-
-    def correct(self, r: np.ndarray) -> int:
-        """Hold the present limit, and solve."""
-        contact, left = self.problem.contact, self.limit - self.cycles
-        limit = sliding_limit(self.problem.system, contact, r)
-        held = replace(self.problem, contact=replace(contact, limit=limit, friction=np.zeros_like(limit), held=None))
-        sweeps = _Sweeps(held, self.smoother, self.run, self.unknowns, left, self._new_measure, before=self.cycles)
-        iterate(sweeps, StopTest(self.INNER * self._rtol, self.cycles + left, stalled=Status.CYCLING), self.run)
-        self._solved += 1
-        return sweeps.cycles - self.cycles
-
-    def rate(self, stop: StopTest) -> float:
-        """Convergence rate of the fixed point."""
-        return stop.rate

@@ -77,7 +77,6 @@ MONOTONE = am.Multigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400)
 METHODS = {
     "single": am.SingleGrid(rtol=1e-10, omega=1.7),
     "condensed": am.SingleGrid(rtol=1e-10, condensed=True),
-    "fixed point": am.SingleGrid(friction="fixed point", rtol=1e-10, omega=1.5),
     "monotone": MONOTONE,
     "monotone nested": am.FullMultigrid(correction=am.Monotone(), rtol=1e-10, max_cycles=400),
     "truncated": am.Multigrid(rtol=1e-10),

@@ -92,7 +92,7 @@ DOORS = {
     am.Rectangle: {"width": 1.0, "height": 1.0, "origin": (0.0, 0.0)},
     am.Remesh: {"growth": 2.0, "finest": 0.1, "coarsest": 2.0},
     am.Revolution: {"polygon": SQUARE, "angle": 90.0},
-    am.SingleGrid: {"omega": 1.0, "condensed": False, "friction": "diagonal", "stop": "error", "rtol": 0.1,
+    am.SingleGrid: {"omega": 1.0, "condensed": False, "stop": "error", "rtol": 0.1,
                     "max_sweeps": 2},
     am.SizeNear: {"points": ((0.0, 0.0),), "size": 1.0, "radius": 1.0, "grading": 0.3},
     am.Spring: {"boundary": "a", "normal": 1.0, "tangential": 1.0}, am.StepFile: {"path": Path("a.step"), "unit": 1.0},

@@ -143,7 +143,6 @@ def test_a_force_at_a_corner_belongs_to_its_supports(law, tmp_path):
     (lambda grids: am.solve(grids.truncated(coarsest=2), am.Multigrid()), ValueError, "at least two levels"),
     (lambda grids: am.solve(replace(grids.finest.discrete, law=am.Frictionless(), fixed=np.zeros(578, dtype=bool)),
                             am.SingleGrid()), ValueError, "translation along x"),
-    (lambda grids: am.SingleGrid(friction="fixed point", stop="change"), ValueError, "stop must be 'error'"),
     (lambda grids: am.FullMultigrid(correction=am.Monotone(), rtol="discretisation"), ValueError, "needs Full"),
     *((lambda grids, option=option: am.FullMultigrid(**option), ValueError,
        f"{next(iter(option))} must not be given.*give correction=am.Monotone")
