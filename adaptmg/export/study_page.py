@@ -31,8 +31,7 @@ _LOGARITHMIC = 30.0
 
 
 def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameters: Sequence[str],
-                 results: Sequence[str] | None = None, title: str = "", summary: str = "",
-                 units: Mapping[str, str] | None = None, formats: Mapping[str, str] | None = None,
+                 results: Sequence[str] | None = None, summary: str = "", units: Mapping[str, str] | None = None,
                  csv: str = "", made: Mapping[str, str] | None = None) -> Path:
     """Write a report of a study: the number of runs, pictures of the results, all runs, those that failed.
 
@@ -47,10 +46,9 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
         Columns that were varied.
     results : sequence of str, optional
         Columns to draw, a picture each; default: the first two numeric columns that vary and are not parameters.
-    title, summary : str
-        Default title: the name of the study (``table.attrs["study"]``).
-    units, formats : mapping of column to str, optional
-        See :func:`adaptmg.study.as_text`.
+    summary : str
+        Stands below the title, which is the name of the study (``table.attrs["study"]``).
+    units : mapping of column to str, optional
     csv : str
         Name of a CSV file of the table next to the report, for a link.
     made : mapping of str to str, optional
@@ -65,7 +63,7 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     """
     checks.instance("table", table, pd.DataFrame, "a pandas DataFrame")
     parameters = _columns("parameters", parameters, table)
-    units, formats = {"seconds": "s"} | dict(units or {}), dict(formats or {})
+    units = {"seconds": "s"} | dict(units or {})
     done = table[table[_STATUS] == _DONE] if _STATUS in table else table
     varied = [name for name in done if name not in (*parameters, _STATUS, _ERROR)
               and (values := numbers(done[name])) is not None and values.nunique() > 1]
@@ -74,14 +72,13 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
         if len(done) and numbers(done[name]) is None:
             raise ValueError(f"results: column {name!r} holds no numbers to draw, got "
                              f"{checks.shown(done[name].iloc[0])} in its first row")
-    page = Report(title or str(table.attrs.get("study") or "") or "Study", f"{_counted(table)} {summary}".strip())
+    page = Report(str(table.attrs.get("study") or "Study"), f"{_counted(table)} {summary}".strip())
 
     def add(frame: pd.DataFrame, caption: str, **options: str | bool) -> None:
         frame = frame.copy()
         for name in frame.select_dtypes(exclude="number"):
             frame[name] = pd.Series([_cut(value) for value in frame[name]], frame.index, dtype=object)
-        page.table(frame, caption, units={k: v for k, v in units.items() if k in frame},
-                   formats={k: v for k, v in formats.items() if k in frame}, **options)
+        page.table(frame, caption, units={k: v for k, v in units.items() if k in frame}, **options)
 
     page.section("Results")
     axis = axes_of_study(done, parameters) if len(done) else None

@@ -40,3 +40,22 @@ def two_bodies(dim: int = 2, n: int = 8, m: int = 5, size: float = 0.04) -> Resu
     data = StressData.of(mesh, MATERIALS if dim == 2 else SOLIDS)
     return dataclasses.replace(single, mesh=mesh, displacement=displacement, reaction=np.zeros_like(displacement),
                                contact=contact, problem_name="two blocks", stress_data=data)
+
+
+FACTORS = (0.25, 0.5, 1.0, 0.5)
+QUANTITIES = {"force [kN]": lambda r: 1e-3 * r.contact.force_n.sum(), "slip [µm]": lambda r: 1e6 * r.contact.slip.max()}
+
+
+def steps_of(result: Result) -> list[Result]:
+    """Load steps whose normal forces are those of a result times FACTORS."""
+    c = result.contact
+    return [dataclasses.replace(result, contact=dataclasses.replace(c, force_n=f * c.force_n)) for f in FACTORS]
+
+
+def two_solids() -> am.ContactProblem:
+    """The problem of two bodies in 3D, to be drawn on their mesh."""
+    return am.ContactProblem(
+        material={body: am.Solid(**STEEL) for body in ("upper", "lower")}, law=am.Frictionless(),
+        name="two solids with a long name", contact=am.ContactPair("upper.bottom", "lower.bottom"),
+        supports=(am.Support("lower.rest", z=0),),
+        loads=(am.Pressure("upper.rest", 2e7), am.InitialStrain("upper", (0, 0, -1e-3))))

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from made import result_on, square
-from made_bodies import MATERIALS, SOLIDS, two_bodies
+from made_bodies import FACTORS, MATERIALS, QUANTITIES, SOLIDS, steps_of, two_bodies
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
@@ -230,15 +230,6 @@ def test_surfaces_are_drawn_flat_and_a_hole_is_unrolled_about_its_axis():
     assert "gap = 0" in shown and "gap [µm]" not in shown
     shown = words(plot.contact(SOLID))
     assert all(text in shown for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "gap [µm]"))
-
-
-FACTORS = (0.25, 0.5, 1.0, 0.5)
-QUANTITIES = {"force [kN]": lambda r: 1e-3 * r.contact.force_n.sum(), "slip [µm]": lambda r: 1e6 * r.contact.slip.max()}
-
-
-def steps_of(result: Result) -> list[Result]:
-    c = result.contact
-    return [dataclasses.replace(result, contact=dataclasses.replace(c, force_n=f * c.force_n)) for f in FACTORS]
 
 
 def test_load_history_draws_the_quantities_and_the_pressure_of_each_step():

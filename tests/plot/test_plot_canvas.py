@@ -1,6 +1,5 @@
 """Nothing leaves the canvas, and no title or label covers another, in every kind of picture."""
 
-import dataclasses
 import io
 from itertools import combinations
 
@@ -8,7 +7,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from made import result_on, square
-from made_bodies import STEEL, two_bodies
+from made_bodies import FACTORS, QUANTITIES, steps_of, two_bodies, two_solids
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -16,24 +15,6 @@ import adaptmg as am
 from adaptmg import plot
 
 PLANE, SOLID = two_bodies(), two_bodies(3, 4, 3)
-QUANTITIES = {"force [kN]": lambda r: 1e-3 * r.contact.force_n.sum(), "slip [µm]": lambda r: 1e6 * r.contact.slip.max()}
-FACTORS = (0.0, 0.4, 0.8, 1.0, 0.2)
-
-
-def steps_of(result: am.Result) -> list[am.Result]:
-    contact = result.contact
-    return [dataclasses.replace(result, contact=dataclasses.replace(contact, force_n=f * contact.force_n))
-            for f in FACTORS]
-
-
-def solids() -> am.ContactProblem:
-    return am.ContactProblem(
-        material={body: am.Solid(**STEEL) for body in ("upper", "lower")}, law=am.Frictionless(),
-        name="two solids with a long name", contact=am.ContactPair("upper.bottom", "lower.bottom"),
-        supports=(am.Support("lower.rest", z=0),),
-        loads=(am.Pressure("upper.rest", 2e7), am.BodyForce((0, 0, -7e4), body="upper")))
-
-
 def adapted(case: am.ContactProblem, size: float, nodes: int) -> list[am.Step]:
     return list(am.adapt(case, size, engine=am.Bisect(), max_nodes=nodes))
 
@@ -45,7 +26,7 @@ def turned(figure: Figure) -> Figure:
 
 PICTURES = {
     "problem 2D": lambda: plot.problem(am.cases.incline()),
-    "problem 3D": lambda: plot.problem(solids(), mesh=SOLID.mesh),
+    "problem 3D": lambda: plot.problem(two_solids(), mesh=SOLID.mesh),
     "mesh 2D": lambda: plot.mesh(PLANE.mesh, contact=["upper.bottom"]),
     "mesh 3D": lambda: plot.mesh(SOLID.mesh, contact=["upper.bottom"]),
     "grids 2D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 3, 4, 5, 6))),
@@ -56,7 +37,7 @@ PICTURES = {
     "deformation 3D from below": lambda: turned(plot.deformation(SOLID, displacement=True)),
     "history": lambda: plot.history({"truncated": PLANE, "a long label of a method": SOLID}),
     "path": lambda: plot.path(result_on(square(4)), steps=8),
-    "load_history 2D": lambda: plot.load_history(steps_of(PLANE), FACTORS, QUANTITIES),
+    "load_history 2D": lambda: plot.load_history([*steps_of(PLANE), PLANE], (*FACTORS, 1.0), QUANTITIES),
     "adaptation 2D": lambda: plot.adaptation(adapted(am.cases.dovetail(), 10e-3, 100)),
     "adaptation 3D": lambda: plot.adaptation(adapted(am.cases.greco_block(), 20e-3, 60)),
 }

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from made import cube
-from made_bodies import two_bodies
+from made_bodies import two_bodies, two_solids
 from matplotlib.quiver import Quiver
 from pictures import words
 
@@ -92,10 +92,7 @@ def test_points_are_spread_over_all_edges_of_a_boundary():
 
 
 def test_solids_are_drawn_on_a_mesh():
-    posed = am.ContactProblem(
-        material={body: am.Solid(**STEEL) for body in ("upper", "lower")}, law=am.Frictionless(), name="solids",
-        contact=am.ContactPair("upper.bottom", "lower.bottom"), supports=(am.Support("lower.rest", z=0),),
-        loads=(am.Pressure("upper.rest", 2e7), am.InitialStrain("upper", (0, 0, -1e-3))))
+    posed = two_solids()
     shown = words(am.plot.problem(posed, mesh=two_bodies(3, 4, 3).mesh))
     assert all(text in shown for text in (
         "contact on 'upper.bottom'", "its master 'lower.bottom'", "p = 20 MPa on 'upper.rest'", "frictionless contact",
