@@ -98,7 +98,8 @@ def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, 
     (``size``) together, else one a thread, or PARTS if they are not ``joined``, as where a row depends on others."""
     if size < LARGE:
         return [kernel(0, n, *arguments)]
-    return _shared([[(n * k // PARTS, n * (k + 1) // PARTS) for k in range(PARTS)]], kernel, arguments, joined)
+    ranges = [(n * k // PARTS, n * (k + 1) // PARTS) for k in range(PARTS)]
+    return in_colours([ranges], kernel, *arguments, joined=joined)
 
 
 def sum_of_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object) -> Any:
@@ -107,18 +108,18 @@ def sum_of_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: obje
     return parts[0] if len(parts) == 1 else np.sum(parts, axis=0)
 
 
-def _shared(stages: Sequence[Sequence[tuple[int, int]]], kernel: Callable[..., Any], arguments: tuple[object, ...],
-            joined: bool = False) -> list[Any]:
-    """Results for the ranges of all stages, a stage after the one before it. Ranges of a stage may be ``joined``, those
-    of each thread to one, if they follow one another."""
+def in_colours(colours: Sequence[Sequence[tuple[int, int]]], kernel: Callable[..., Any], *arguments: object,
+               joined: bool = False) -> list[Any]:
+    """What ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the other. Ranges of a colour
+    may be ``joined``, those of each thread to one, if they follow one another."""
     number = _THREADS.number
     if joined:
-        stages = [_joined(ranges, number) for ranges in stages]
-    places = [(stage, each) for stage, ranges in enumerate(stages) for each in ranges]
-    if number == 1 or len(places) == len(stages):
+        colours = [_joined(ranges, number) for ranges in colours]
+    places = [(stage, each) for stage, ranges in enumerate(colours) for each in ranges]
+    if number == 1 or len(places) == len(colours):
         return [kernel(*each, *arguments) for _, each in places]
     results, left = [None] * len(places), iter(range(len(places)))
-    done, over = [[] for _ in stages], [Event() for _ in stages]
+    done, over = [[] for _ in colours], [Event() for _ in colours]
 
     def work() -> None:
         for k in left:
@@ -129,7 +130,7 @@ def _shared(stages: Sequence[Sequence[tuple[int, int]]], kernel: Callable[..., A
                 results[k] = kernel(*each, *arguments)
             finally:
                 done[stage].append(k)
-                if len(done[stage]) == len(stages[stage]):
+                if len(done[stage]) == len(colours[stage]):
                     over[stage].set()
 
     _THREADS.run(work)
@@ -157,11 +158,6 @@ def scattering(columns: np.ndarray, starts: np.ndarray | None = None, size: int 
             ranges = list(pairwise(bounds))
             return [ranges[::2], ranges[1::2]]
     return [[(0, n)]]
-
-
-def in_colours(colours: list[list[tuple[int, int]]], kernel: Callable[..., Any], *arguments: object) -> list[Any]:
-    """What ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the other."""
-    return _shared(colours, kernel, arguments)
 
 
 def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
@@ -225,7 +221,7 @@ class Strips:
         if len(self.colours) == 1:  # quick for small matrices
             kernel(0, len(self.order), self.order, *arguments)
             return
-        _shared(self.colours[::-1] if backward else self.colours, kernel, (self.order, *arguments), joined=True)
+        in_colours(self.colours[::-1] if backward else self.colours, kernel, self.order, *arguments, joined=True)
 
 
 def _bounds(last: np.ndarray) -> list[int]:
