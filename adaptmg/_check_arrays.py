@@ -143,7 +143,8 @@ def narrowed(matrix: _Compressed) -> _Compressed:
     """Return a csr, csc or bsr matrix with indices of 32 bits, where these suffice; values are shared, not copied."""
     if matrix.indices.dtype == matrix.indptr.dtype == np.int32 or max(*matrix.shape, matrix.nnz) > _LARGEST_INDEX:
         return matrix
-    return _with_indices(matrix, matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32))
+    arrays = matrix.data, matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
+    return type(matrix)(arrays, shape=matrix.shape)
 
 
 def indices_frozen(matrix: _Compressed) -> _Compressed:
@@ -153,12 +154,4 @@ def indices_frozen(matrix: _Compressed) -> _Compressed:
     arrays = matrix.indices.copy(), matrix.indptr.copy()
     for array in arrays:
         array.flags.writeable = False
-    return _with_indices(matrix, *arrays)
-
-
-def _with_indices(matrix: _Compressed, indices: np.ndarray, indptr: np.ndarray) -> _Compressed:
-    result = type(matrix)((matrix.data, indices, indptr), shape=matrix.shape)
-    for name in ("_has_sorted_indices", "_has_canonical_format"):
-        if name in matrix.__dict__:  # they hold for the same entries in the same order
-            setattr(result, name, matrix.__dict__[name])
-    return result
+    return type(matrix)((matrix.data, *arrays), shape=matrix.shape)
