@@ -26,29 +26,11 @@ from adaptmg.discrete.supports import supported_nodes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot import style
 from adaptmg.plot.surfaces import Lines, Surface, finish_axes, normals_of, sharp_edges, view_of, viewer
-from adaptmg.problem import (
-    Assembly,
-    BodyForce,
-    Contact,
-    ContactPair,
-    ContactProblem,
-    Coulomb,
-    Domain,
-    Frictionless,
-    InitialStrain,
-    Law,
-    PointSpring,
-    Pressure,
-    Spring,
-    Symmetry,
-    Traction,
-    Tresca,
-)
-from adaptmg.problem.loads import AnySupport
+from adaptmg.problem import Assembly, Contact, ContactPair, ContactProblem, Domain, laws, loads
 
 _CONTACT, _MASTER, _SUPPORT = "#e8833a", "#f2c530", "#4fb38a"
 
-SurfaceLoad = Pressure | Traction
+SurfaceLoad = loads.Pressure | loads.Traction
 #: a load, and points, outward unit normals and tractions (n, dim) on its boundary
 _Drawn = tuple[SurfaceLoad, np.ndarray, np.ndarray, np.ndarray]
 
@@ -302,7 +284,7 @@ def _legend(posed: ContactProblem, ax: Axes, bodies: Sequence[str], fills: Seque
     entries += [(Line2D([], [], color=style.BLUE), f"{_surface_text(load, traction)} on {style.quoted(load.boundary)}")
                 for load, traction in acting]
     entries += [(Line2D([], [], color=style.BLUE, linestyle=":"), _volume_text(load, axes)) for load in posed.loads
-                if isinstance(load, BodyForce | InitialStrain)]
+                if isinstance(load, loads.BodyForce | loads.InitialStrain)]
     used = {name for name, *_ in _uses(posed)} | {load.boundary for load, _ in acting}
     if len(bodies) == 1 and (free := [style.quoted(name) for name in boundaries if name not in used]):
         entries.append((Patch(facecolor=style.PALE, edgecolor=style.INK), f"free: {', '.join(free)}"))
@@ -311,12 +293,14 @@ def _legend(posed: ContactProblem, ax: Axes, bodies: Sequence[str], fills: Seque
               alignment="left", borderaxespad=0.0)
 
 
-def _law_text(law: Law) -> str:
-    if isinstance(law, Frictionless):
+def _law_text(law: laws.Law) -> str:
+    if isinstance(law, laws.Frictionless):
         return "frictionless contact"
-    if isinstance(law, Coulomb):
+    if isinstance(law, laws.Coulomb):
         return f"Coulomb friction {_value(law.friction)}"
-    return f"Tresca limit {_value(law.limit, 'Pa')}" if isinstance(law, Tresca) else f"contact ({type(law).__name__})"
+    if isinstance(law, laws.Tresca):
+        return f"Tresca limit {_value(law.limit, 'Pa')}"
+    return f"contact ({type(law).__name__})"
 
 
 def _value(value: object, unit: str = "") -> str:
@@ -332,12 +316,12 @@ def _points(posed: ContactProblem) -> dict[str, np.ndarray]:
     return {support.place: np.array(support.point) for support in posed.supports if support.boundary is None}
 
 
-def support_text(support: AnySupport, dim: int, axes: str = "xyz") -> str:
+def support_text(support: loads.AnySupport, dim: int, axes: str = "xyz") -> str:
     """Return the prescribed components as text, equal ones together: '$u_x$ = $u_y$ = 0'; or what else holds."""
-    if isinstance(support, Symmetry):
+    if isinstance(support, loads.Symmetry):
         return "symmetry: $u_n$ = 0"
-    if isinstance(support, Spring | PointSpring):
-        names, unit = (("normal", "tangential"), "N/m³") if isinstance(support, Spring) else ("xyz"[:dim], "N/m")
+    if isinstance(support, loads.Spring | loads.PointSpring):
+        names, unit = (("normal", "tangential"), "N/m³") if isinstance(support, loads.Spring) else ("xyz"[:dim], "N/m")
         return "springs " + ", ".join(f"{name} {_value(getattr(support, name), unit)}" for name in names
                                       if callable(getattr(support, name)) or getattr(support, name))
     values: dict[str, list[str]] = {}
@@ -351,15 +335,15 @@ def _surface_text(load: SurfaceLoad, traction: np.ndarray) -> str:
     """The size of a load with tractions (n, dim), Pa: 'p = 2 MPa', '|t| up to 3 kPa'."""
     sizes = np.linalg.norm(traction, axis=1)
     largest = float(sizes.max())
-    value = load.value if isinstance(load, Pressure) and not callable(load.value) else largest
-    return (f"{'p' if isinstance(load, Pressure) else '|t|'} {'up to' if np.ptp(sizes) > 1e-9 * largest else '='} "
-            f"{_value(value, 'Pa')}")
+    pressure, relation = isinstance(load, loads.Pressure), "up to" if np.ptp(sizes) > 1e-9 * largest else "="
+    value = load.value if pressure and not callable(load.value) else largest
+    return f"{'p' if pressure else '|t|'} {relation} {_value(value, 'Pa')}"
 
 
-def _volume_text(load: BodyForce | InitialStrain, axes: str) -> str:
+def _volume_text(load: loads.BodyForce | loads.InitialStrain, axes: str) -> str:
     """The load in a body: 'body force (0, 3) kN/m³ in 'rod''."""
     where = "" if load.body is None else f" in {style.quoted(load.body)}"
-    if isinstance(load, InitialStrain):
+    if isinstance(load, loads.InitialStrain):
         parts = [f"$\\varepsilon_{axis}$ = {_value(value)}"
                  for axis, value in zip(axes, load.components, strict=False) if callable(value) or value != 0]
         return f"initial strain{where}\n{', '.join(parts) or '0'}"

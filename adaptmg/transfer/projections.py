@@ -28,16 +28,8 @@ from adaptmg.geometry.location import affine_maps
 from adaptmg.geometry.quadrature import simplex_rule
 from adaptmg.geometry.search import STACK, bounding_box, overlapping, padded
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.transfer import interpolation
 from adaptmg.transfer.contact_rows import with_contact_rows
-from adaptmg.transfer.interpolation import (
-    CLIP,
-    PointLocator,
-    body_locators,
-    clipped_rows,
-    dropped,
-    locate_nodes,
-    nodes_of_bodies,
-)
 
 Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
 
@@ -68,8 +60,8 @@ class LumpedL2(_Projection):
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
         weighted = integrals.assemble(integrals.shape_coefficients())
-        data = weighted.data / np.repeat(integrals.lumped_mass, np.diff(weighted.indptr))
-        result = dropped(sparse.csr_array((data, weighted.indices, weighted.indptr), shape=weighted.shape), CLIP)
+        weighted.data /= np.repeat(integrals.lumped_mass, np.diff(weighted.indptr))
+        result = interpolation.dropped(weighted, interpolation.CLIP)
         result.data /= np.repeat(result.sum(axis=1), np.diff(result.indptr))
         return result
 
@@ -95,7 +87,7 @@ class PseudoL2(_Projection):
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
         coefficients = (integrals.fine.dim + 2) * integrals.shape_coefficients() - 1.0
         coefficients /= integrals.lumped_mass[integrals.patches[0]][:, None]
-        return clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
+        return interpolation.clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +111,7 @@ class QuasiInterpolation(_Projection):
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
         coefficients = _patch_coefficients(integrals.fine, *integrals.patches[:2])
-        return clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
+        return interpolation.clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
 
 
 def _patch_coefficients(fine: MeshArrays, node: np.ndarray, element: np.ndarray) -> np.ndarray:
@@ -174,7 +166,7 @@ class L2(_Projection):
         inner = 0.01 * _DROP
         rows = _chebyshev(mass, rhs, fine.dim, inner, inner)
         rows.sort_indices()
-        result, reached = clipped_rows(rows, coarse, fine, tolerance=_DROP, moments=moments)
+        result, reached = interpolation.clipped_rows(rows, coarse, fine, tolerance=_DROP, moments=moments)
         missed = np.flatnonzero(~reached)
         return with_contact_rows(result, missed, PseudoL2()._rows(integrals)[missed]) if len(missed) else result
 
@@ -204,7 +196,7 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
         step = rho * previous * step + 2 * rho / half * residual
         solution = solution + step
         if drop > 0:
-            step, solution = dropped(step, drop), dropped(solution, drop)
+            step, solution = interpolation.dropped(step, drop), interpolation.dropped(solution, drop)
     return solution
 
 
@@ -255,16 +247,17 @@ class MixedMass:
 
 def mixed_mass(coarse: MeshArrays, fine: MeshArrays) -> MixedMass:
     """Compute the integrals, body by body."""
-    locate_nodes(coarse, fine)
-    nodes_of_bodies(fine)
+    interpolation.locate_nodes(coarse, fine)
+    interpolation.nodes_of_bodies(fine)
     parts = []
-    for body, locator in body_locators(coarse, fine):
+    for body, locator in interpolation.body_locators(coarse, fine):
         elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
         parts += _body_entries(locator, fine, elements)
     return MixedMass(coarse, fine, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
-def _body_entries(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+def _body_entries(locator: interpolation.PointLocator, fine: MeshArrays, elements: np.ndarray
+                  ) -> list[tuple[np.ndarray, ...]]:
     """Entries (element, coarse node, values) of clipped elements, then of those that need quadrature."""
     k = fine.dim + 1
     covered, fine_maps = np.empty(len(elements)), np.empty((len(fine.elements), fine.dim * k))
@@ -288,7 +281,7 @@ def _body_entries(locator: PointLocator, fine: MeshArrays, elements: np.ndarray)
     return [clipped, _quadrature(locator, fine, elements[~whole[elements]])]
 
 
-def _quadrature(locator: PointLocator, fine: MeshArrays, elements: np.ndarray) -> tuple[np.ndarray, ...]:
+def _quadrature(locator: interpolation.PointLocator, fine: MeshArrays, elements: np.ndarray) -> tuple[np.ndarray, ...]:
     shape, weights = simplex_rule(fine.dim, 4)
     points = np.einsum("qv,evc->eqc", shape, fine.points[fine.elements[elements]])
     location = locator.locate(points.reshape(-1, fine.dim))
