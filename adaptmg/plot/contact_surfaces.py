@@ -108,9 +108,7 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     keep_open(axes[0], 1e-6 * c.pressure[nodes], largest)
     keep_open(axes[1], np.concatenate([-bound[nodes], 1e-6 * c.traction[nodes, 0]]), largest)
     if not friction:
-        # the axis does not magnify rounding
-        most = max(1e-9 * float(c.pressure[nodes].max(initial=0.0)), *np.abs(axes[1].get_ylim()))
-        axes[1].set_ylim(-most, most)
+        axes[1].set_ylim(-1.0, 1.0)
         axes[1].text(0.5, 0.9, "frictionless", transform=axes[1].transAxes, ha="center", va="top", color="#5b626b")
     for ax in axes[1:] if friction else axes[2:]:
         ax.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")

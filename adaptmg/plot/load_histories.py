@@ -66,11 +66,11 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
         for ax, (label, values) in zip(axes, rows.items(), strict=True):
             _draw_curve(ax, factors, values, label, against)
     for name in names:
-        chosen = [(results[k], f"{against} {number(factors[k])}") for k in shown]
         part = next(parts)
         left_out = f": {len(shown)} of {len(results)} steps" if len(shown) < len(results) else ""
         part.suptitle(pair_name(results[0].contact, name) + left_out, fontsize=10)
-        (_draw_lines if results[0].dim == 2 else _draw_maps)(part, chosen, name, columns)
+        _draw_steps(part, [results[k] for k in shown], [f"{against} {number(factors[k])}" for k in shown], name,
+                    columns)
     figure.suptitle(plain(results[-1].problem_name), fontsize=11)
     return figure
 
@@ -123,36 +123,33 @@ def _draw_curve(ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, a
     ax.grid(True)
 
 
-def _draw_lines(part: SubFigure, steps: list[tuple[Result, str]], name: str, columns: int) -> None:
-    axes = cells(part, len(steps), columns, share=True)
-    lines = lines_of(steps[0][0], name)
-    for k, (ax, (result, title)) in enumerate(zip(axes, steps, strict=True)):
-        c = result.contact
-        for line in lines:
-            stated_curve(ax, line.position, 1e-6 * c.pressure[line.index], c.state[line.index], 1.5)
-        ax.set_title(title, fontsize=9)
-        if k % columns == 0:
+def _draw_steps(part: SubFigure, results: list[Result], titles: list[str], name: str, columns: int) -> None:
+    """Draw the contact pressure of each step, with common scales: curves, in 3D maps."""
+    axes = cells(part, len(results), columns, share=True)
+    if results[0].dim == 3:
+        flat = flattened(results[0], name)
+        pressures = [1e-6 * result.contact.pressure[flat.index] for result in results]
+        norm = Normalize(0.0, max(float(p.max()) for p in pressures) or 1.0)
+        for ax, pressure in zip(axes, pressures, strict=True):
+            draw_map(ax, flat, pressure, norm)
+            ax.set(xlabel="", ylabel="")
+        along = flat.labels[0]
+        part.supylabel(flat.labels[1], fontsize=9.5)
+        bar = part.colorbar(ScalarMappable(norm, "viridis"), ax=axes, label="contact pressure [MPa]")
+        bar.outline.set_visible(False)
+    else:
+        lines, contacts = lines_of(results[0], name), [result.contact for result in results]
+        for ax, c in zip(axes, contacts, strict=True):
+            for line in lines:
+                stated_curve(ax, line.position, 1e-6 * c.pressure[line.index], c.state[line.index], 1.5)
+        for ax in axes[::columns]:
             ax.set_ylabel("pressure [MPa]")
-    part.supxlabel(lines[0].label, fontsize=9.5)
-    axes[0].margins(x=0.02)
-    axes[0].set_ylim(bottom=0.0)
-    nodes = np.concatenate([line.index for line in lines])
-    pressures = np.array([1e-6 * result.contact.pressure for result, _ in steps])
-    keep_open(axes[0], pressures[:, nodes], float(pressures.max()))
-    states = {int(s) for result, _ in steps for s in result.contact.state}
-    part.legend(handles=state_lines(states, 2.5), loc="outside right upper")
-
-
-def _draw_maps(part: SubFigure, steps: list[tuple[Result, str]], name: str, columns: int) -> None:
-    axes = cells(part, len(steps), columns, share=True)
-    flat = flattened(steps[0][0], name)
-    pressures = [1e-6 * result.contact.pressure[flat.index] for result, _ in steps]
-    norm = Normalize(0.0, max(float(p.max()) for p in pressures) or 1.0)
-    for ax, (_, title), pressure in zip(axes, steps, pressures, strict=True):
-        draw_map(ax, flat, pressure, norm)
+        along = lines[0].label
+        axes[0].margins(x=0.02)
+        axes[0].set_ylim(bottom=0.0)
+        pressures = np.array([1e-6 * c.pressure for c in contacts])
+        keep_open(axes[0], pressures[:, np.concatenate([line.index for line in lines])], float(pressures.max()))
+        part.legend(handles=state_lines(np.concatenate([c.state for c in contacts]), 2.5), loc="outside right upper")
+    for ax, title in zip(axes, titles, strict=True):
         ax.set_title(title, fontsize=9)
-        ax.set(xlabel="", ylabel="")
-    part.supxlabel(flat.labels[0], fontsize=9.5)
-    part.supylabel(flat.labels[1], fontsize=9.5)
-    bar = part.colorbar(ScalarMappable(norm, "viridis"), ax=axes, label="contact pressure [MPa]")
-    bar.outline.set_visible(False)
+    part.supxlabel(along, fontsize=9.5)

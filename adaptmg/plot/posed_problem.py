@@ -89,8 +89,9 @@ def _draw_plane(posed: ContactProblem, bodies: dict[str, list[np.ndarray]], edge
         ax.add_patch(PathPatch(path, facecolor=fill, edgecolor="none", zorder=3 - area / diagonal**2))
     ax.add_collection(LineCollection(scale * np.concatenate(list(edges.values())), color=style.INK, linewidth=1.2,
                                      zorder=3.2, capstyle="round"))
-    for point in _points(posed).values():
-        ax.plot(*scale * point, "^", color=_SUPPORT, markeredgecolor=style.INK, markersize=9, zorder=5)
+    for support in (one for one in posed.supports if one.boundary is None):
+        ax.plot(*scale * np.array(support.point), "^", color=_SUPPORT, markeredgecolor=style.INK, markersize=9,
+                zorder=5)
     for boundary, color, _ in (use for use in _uses(posed) if use[0] in edges):
         ax.add_collection(LineCollection(scale * edges[boundary], color=color, zorder=4, capstyle="butt",
                                          linewidth=2.0 if color == _MASTER else 4.0))
@@ -309,11 +310,6 @@ def _value(value: object, unit: str = "") -> str:
         return "f(x)"
     factor, unit = style.scaled(abs(float(value)), unit) if unit else (1.0, "")
     return f"{style.number(float(value) * factor)} {unit}".strip()
-
-
-def _points(posed: ContactProblem) -> dict[str, np.ndarray]:
-    """The points at which something holds a body, m."""
-    return {support.place: np.array(support.point) for support in posed.supports if support.boundary is None}
 
 
 def support_text(support: loads.AnySupport, dim: int, axes: str = "xyz") -> str:

@@ -160,21 +160,18 @@ class Result:
         return in_html_lines(str(self)) + (html_table(self.pairs()) if self.mesh_or_none is not None else "")
 
     def __str__(self) -> str:
-        states = self.contact.counts()
+        states, certified = self.contact.counts(), ""
+        if self.checked is not None:
+            worst = self.checked.worst
+            certified = (f"\n  certificate: worst {worst.name} {worst.largest:.2e} {worst.unit} (relative "
+                         f"{worst.relative:.2e}), energy error {self.checked.energy_error:.2e}; "
+                         f"{self.timings.get('certificate', 0.0):.2g} s")
         return (f"Result of {self.method} for {self.problem_name}: {self.status.name}\n"
                 f"  {len(self.displacement)} nodes, {len(self.contact)} contact nodes: "
                 f"{', '.join(f'{count} {state}' for state, count in states.items())}\n"
                 f"  {self.cycles} cycles, {self.work_units:.2f} work units, {self.seconds:.3g} s\n"
                 f"  natural residual {self.residual:.2e}, estimated error {self.error_estimate:.2e} "
-                f"(rtol {self.rtol:g})" + self._certified() + f"\n  solver=None: {self.choice}" * bool(self.choice))
-
-    def _certified(self) -> str:
-        if self.checked is None:
-            return ""
-        worst = self.checked.worst
-        return (f"\n  certificate: worst {worst.name} {worst.largest:.2e} {worst.unit} (relative "
-                f"{worst.relative:.2e}), energy error {self.checked.energy_error:.2e}; "
-                f"{self.timings.get('certificate', 0.0):.2g} s")
+                f"(rtol {self.rtol:g}){certified}" + f"\n  solver=None: {self.choice}" * bool(self.choice))
 
     def certificate(self, problem: DiscreteProblem | None = None, *, bound: bool = False) -> Certificate:
         """Check by how much each condition of contact is violated, by code that shares nothing with the solvers.

@@ -59,27 +59,20 @@ class SingleGrid:
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         with run.phase("setup"):
             local = local_system(hierarchy.finest.discrete)
-        condensed = None
+        problem, sizes, restrict, recover = local, Sizes(local.discrete, local.frames), np.asarray, np.asarray
         if self.condensed:
             with run.phase("factorise"):
                 condensed = condense(local)
-        problem = local if condensed is None else condensed.problem
-
-        def restrict(unknowns: np.ndarray) -> np.ndarray:
-            return unknowns if condensed is None else condensed.restrict(unknowns)
-
-        def displacement(unknowns: np.ndarray) -> np.ndarray:
-            return local.to_cartesian(unknowns if condensed is None else condensed.recover(unknowns))
-
+                problem, sizes = condensed.problem, _CondensedSizes(condensed)
+                restrict, recover = condensed.restrict, condensed.recover
         unknowns = restrict(np.zeros(local.system.n_dofs) if start is None else local.to_local(start))
         project(problem, unknowns)
         # the Schur complement measures the energy of the error of the recovered solution
         reference = None if run.reference is None else restrict(local.to_local(run.reference))
-        sizes = Sizes(local.discrete, local.frames) if condensed is None else _CondensedSizes(condensed)
         sweeps = _Sweeps(problem, self, run, unknowns, Measure(problem, run=run, reference=reference, sizes=sizes))
 
         def shortfall(rtol: float) -> float:
-            return run.shortfall(displacement(unknowns), rtol)
+            return run.shortfall(local.to_cartesian(recover(unknowns)), rtol)
 
         with run.phase("sweeps"):
             if self.stop == "change":
@@ -90,7 +83,7 @@ class SingleGrid:
                 status = iterate(sweeps, stop, run)
         run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
         with run.phase("factorise" if self.condensed else "sweeps"):
-            solved = displacement(unknowns)
+            solved = local.to_cartesian(recover(unknowns))
         return Outcome(solved, status, sweeps.cycles, self.rtol, stop.error_estimate,
                        stop.rate ** (1 / sweeps.batch) if np.isfinite(stop.rate) else np.nan)
 

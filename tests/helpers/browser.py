@@ -1,4 +1,4 @@
-"""Chromium without a window, where it is installed: what a page measures, and how it looks."""
+"""Chromium without a window, where it is installed: what a page measures."""
 
 import html
 import json
@@ -37,10 +37,3 @@ def measure(folder: Path, text: str, script: str) -> Any:
     page.write_text(f'<!DOCTYPE html><html><body><iframe style="width:1440px;height:900px;border:0" srcdoc="{framed}">'
                     "</iframe></body></html>", encoding="utf-8")
     return json.loads(html.unescape(re.search(r'data-measured="([^"]*)"', dom(folder, page))[1]))
-
-
-def screenshot(folder: Path, page: Path, width: int, height: int, *flags: str) -> Path:
-    """Picture of the top of a page."""
-    target = folder / "screen.png"
-    _run(folder, page, width, height, f"--screenshot={target}", *flags)
-    return target
