@@ -19,7 +19,7 @@ from adaptmg.problem import ContactProblem
 
 __all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointContact", "PunchPressure", "TransitionField",
            "bolted_junction", "cattaneo", "coulomb_transition", "curved_obstacle", "dovetail", "flat_punch", "get",
-           "greco_bar", "greco_block", "hertz_cylinder", "hertz_sphere", "incline", "leaning_strut", "names",
+           "greco_bar", "greco_block", "hertz_cylinder", "hertz_sphere", "incline", "leaning_strut",
            "two_block_patch", "upset_block"]
 
 
@@ -53,17 +53,6 @@ CASES: Mapping[str, Case] = MappingProxyType({
     "leaning_strut": Case(leaning_strut, "a strut that leans on its foot, friction 0.6: three solutions (2D)"),
     "two_block_patch": Case(two_block_patch, "two blocks under uniform stress: the patch test of contact (2D, 3D)"),
 })
-
-
-def names() -> tuple[str, ...]:
-    """Return the names of all cases.
-
-    Examples
-    --------
-    >>> "dovetail" in am.cases.names()
-    True
-    """
-    return tuple(CASES)
 
 
 def get(name: str) -> Case:

@@ -199,15 +199,13 @@ def _solve(given: Namespace) -> int:
 
 def _adapt(given: Namespace) -> None:
     from adaptmg.cli import case_run, output
-    from adaptmg.estimate.step import Step
 
     settings, folder = _settings(given), output.folder(given.out)
     waiting: list[str] = []
     with output.watched_loop() as progress:
         # lines would run into the bar: they wait until it ends
         say = waiting.append if given.json or progress is not None else _say
-        say(Step.HEADER)
-        solved = case_run.solved(settings, progress, each=lambda step: say(step.row), store=given.store)
+        solved = case_run.solved(settings, progress, each=lambda step: say(repr(step)), store=given.store)
     files = output.write(folder, solved)
     if given.json:
         _print_json(output.loop_summary(solved.steps, files))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Generic, Protocol
+from typing import TYPE_CHECKING, Generic, Protocol
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Step(Generic[Found]):
-    """A mesh of the adaptive loop, solved and estimated; printing it shows a line that names its columns.
+    """A mesh of the adaptive loop, solved and estimated; printing it shows a line with its figures.
 
     Attributes
     ----------
@@ -83,10 +83,6 @@ class Step(Generic[Found]):
     >>> steps[0].nodes < steps[-1].nodes
     True
     """
-
-    #: heading of the rows of steps
-    HEADER: ClassVar[str] = (f"{'step':>4} {'nodes':>8} {'levels':>6} {'contact':>7} {'estimate':>9} {'cycles':>6} "
-                             f"{'work':>6} {'in all':>6} {'seconds':>8} {'in all':>8}")
 
     number: int
     hierarchy: Hierarchy
@@ -133,14 +129,6 @@ class Step(Generic[Found]):
              "work_units": step.work_units, "total_work_units": step.total_work_units, "seconds [s]": step.seconds,
              "total_seconds [s]": step.total_seconds, "pressure [Pa]": step.result.max_pressure}
             for step in steps])
-
-    @property
-    def row(self) -> str:
-        """A line of the table under ``HEADER``."""
-        line = (f"{self.number:>4} {self.nodes:>8} {len(self.hierarchy):>6} {len(self.result.contact):>7} "
-                f"{self.estimate.relative:>9.3%} {self.result.cycles:>6} {self.work_units:>6.1f} "
-                f"{self.total_work_units:>6.1f} {self.seconds:>8.3f} {self.total_seconds:>8.3f}")
-        return "  ".join([line, *["not settled"] * (self.settled is False), *filter(None, [self.outcome])])
 
 
 def expected_seconds(steps: Sequence[Step], limits: Limits) -> float:

@@ -45,9 +45,9 @@ def test_cases_are_listed(command):
     module = subprocess.run([sys.executable, "-m", "adaptmg", "--version"], capture_output=True, text=True)
     assert (module.returncode, module.stdout) == (0, version)
     _, out, _ = command("cases")
-    assert [row.split()[0] for row in out.splitlines()] == list(am.cases.names())
+    assert [row.split()[0] for row in out.splitlines()] == list(am.cases.CASES)
     _, out, _ = command("cases", "--json")
-    assert [row["name"] for row in json.loads(out)] == list(am.cases.names())
+    assert [row["name"] for row in json.loads(out)] == list(am.cases.CASES)
 
 
 def test_solve_prints_json_and_nothing_else_to_standard_output(command):
@@ -60,7 +60,7 @@ def test_solve_prints_json_and_nothing_else_to_standard_output(command):
     assert row["max_pressure"] == pytest.approx(float(wanted.contact.pressure.max()), rel=1e-6)
 
 
-@pytest.mark.parametrize("case", am.cases.names())
+@pytest.mark.parametrize("case", am.cases.CASES)
 def test_every_case_is_solved_and_adapted_without_options(command, case, monkeypatch):
     """Grids, start sizes and limits follow the domain; the limit of nodes is lower here."""
     code, out, _ = command("solve", case, "--json")
@@ -148,8 +148,8 @@ def test_what_cannot_be_printed_is_printed_as_codes(monkeypatch):
 def test_a_line_a_step_and_a_tolerance_that_ends_it(command):
     code, out, err = command(*SMALL)
     lines = out.splitlines()
-    assert (code, err) == (0, "") and lines[0] == am.Step.HEADER
-    numbers = [int(line.split()[0]) for line in lines[1:lines.index("")] if line.split()[0].isdigit()]
+    assert (code, err) == (0, "")
+    numbers = [int(line.split()[1].rstrip(":")) for line in lines[:lines.index("")] if line.startswith("step")]
     assert numbers == list(range(len(numbers))) and len(numbers) > 1 and "max_nodes" in out and "CONVERGED" in out
     said = json.loads(command(*SMALL[:-2], "--tolerance", "0.1", "--json")[1])
     assert said["steps"][-1]["estimate"] <= 0.1 and "tolerance" in said["outcome"]

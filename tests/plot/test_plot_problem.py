@@ -41,7 +41,7 @@ def assembly() -> am.ContactProblem:
         supports=(am.Support("block.bottom", y=0), am.Support("tongue.axis", x=0)))
 
 
-@pytest.mark.parametrize("name", [name for name in am.cases.names() if name not in ("greco_block", "bolted_junction")])
+@pytest.mark.parametrize("name", [name for name in am.cases.CASES if name not in ("greco_block", "bolted_junction")])
 def test_every_case_is_drawn_with_the_names_of_its_boundaries(name):
     posed = am.cases.get(name).function()
     shown = words(am.plot.problem(posed))

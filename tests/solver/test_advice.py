@@ -79,7 +79,7 @@ def test_an_adaptive_loop_warns_once():
     assert {one.filename for one in caught} == {__file__}
 
 
-@pytest.mark.parametrize("name", am.cases.names())
+@pytest.mark.parametrize("name", am.cases.CASES)
 def test_no_case_is_beyond_the_theory_and_all_adapt_by_default(name):
     caught = warned(lambda: next(am.adapt(am.cases.get(name).function())))
     # what the strut is about
