@@ -46,7 +46,8 @@ from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import fixed_dofs, supported_nodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
-from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.problem.contact_problem import Contact, ContactProblem, check_law
+from adaptmg.problem.laws import Law
 from adaptmg.problem.load_path import DEFAULT, name_in_path
 from adaptmg.problem.loads import InitialStrain, Load
 from adaptmg.problem.surfaces import ContactPair
@@ -96,13 +97,19 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     parts = {"matrix": supported_stiffness(mesh, materials, problem.supports),
              "load": load_vector(mesh, problem.loads, materials),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
-             "law": problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
+             "law": _nodal_law(problem, mesh, contact),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     parts["strain_free"] = _strain_free(mesh, problem.loads, materials)
     for array in (parts["load"], fixed, values, *bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
     return DiscreteProblem.assembled(weights, **parts)
+
+
+def _nodal_law(problem: ContactProblem, mesh: MeshArrays, contact: ContactNodes) -> Law:
+    law = problem.law.at_nodes(mesh.points[contact.nodes], contact.weights)
+    check_law(law)  # a user's own may return anything
+    return law
 
 
 def _strain_free(mesh: MeshArrays, loads: Sequence[Load], materials: Materials) -> tuple[np.ndarray, float] | None:
@@ -145,7 +152,7 @@ def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
         return discretise(problem, mesh)
     problem.check_boundaries(mesh.boundaries)
     problem.check_bodies(mesh.bodies)
-    law = problem.law.at_nodes(mesh.points[posed.nodes], posed.weights)
+    law = _nodal_law(problem, mesh, posed)
     check_bounds(law, len(posed))
     if old.coupling is not None:
         # what slave nodes are exchanged for depends on where friction acts
@@ -180,7 +187,7 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
         contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded, fixed=fixed)
         if weights is None:
             return contact, None
-        law = problem.law.at_nodes(mesh.points[contact.nodes], contact.weights)
+        law = _nodal_law(problem, mesh, contact)
         unmatched = find_carriers(contact.nodes, weights, fixed, law)[2]
         if not len(unmatched):
             return contact, weights
