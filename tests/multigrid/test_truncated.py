@@ -191,7 +191,7 @@ def uniform():
 @pytest.fixture(scope="module")
 def joint():
     # its coarsest matrix is regular
-    return am.Hierarchy.graded(am.cases.dovetail(), sizes=(12e-3, 8e-3, 5e-3), mesher="netgen")
+    return am.Hierarchy.graded(am.cases.dovetail(), sizes=(12e-3, 8e-3, 5e-3))
 
 
 @pytest.fixture(scope="module")

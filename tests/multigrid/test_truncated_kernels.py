@@ -371,6 +371,27 @@ def test_a_master_before_open_slaves_is_moved_alone(dim):
         assert at.energy() <= energy + 1e-13 * abs(energy)
 
 
+@pytest.mark.parametrize(("law", "gap"), [(am.Frictionless(), 0.0), (am.Tresca(1e6), 0.0), (am.Tresca(1e6), 1.0)],
+                         ids=["frictionless", "tresca", "tresca before it closes"])
+@pytest.mark.parametrize("coupling", ["mortar", "nodes"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_master_before_closed_slaves_takes_them_along(dim, coupling, law, gap):
+    at = Swept(dim, law, amplitude=0.0, posed=problem(dim, law, gap, coupling))
+    at.load[:] = np.where(at.discrete.fixed, 0.0, np.random.default_rng(4).normal(size=len(at.load)))
+    at.residual[:] = at.load
+    weights = at.discrete.coupling.weights
+    for node in np.unique(weights.indices):
+        before = at.u.copy()
+        at.sweep(np.array([np.searchsorted(at.interface.nodes, node)], dtype=np.int32))
+        change = (at.u - before).reshape(-1, dim)
+        assert np.flatnonzero(change.any(axis=1)).tolist() == [node]
+        followers = np.flatnonzero(weights[:, [node]].toarray())
+        physical = at.discrete.coupling.physical(at.u - before).reshape(-1, dim)
+        free = ~at.discrete.fixed.reshape(-1, dim)[followers]
+        expected = free * weights[followers][:, [node]].toarray() * change[node]
+        np.testing.assert_allclose(physical[followers], expected, atol=1e-15 * np.abs(change).max())
+
+
 def test_work_units_by_hand(monkeypatch):
     monkeypatch.setattr(TruncatedIteration, "MOVES", 0)  # each adds a smoothing
     posed, _, _ = problem(2, am.Coulomb(0.4))
