@@ -159,7 +159,7 @@ def test_nothing_is_made_that_nobody_asked_for(monkeypatch):
     def refuse(*_args, **_kwargs):
         raise AssertionError("made without being asked for")
 
-    for name in ("mesh.ngsolve_bridge.to_ngsolve", "mesh.soundness.facet_table", "transfer.mesh_ratio",
+    for name in ("mesh.arrays.to_ngsolve", "mesh.soundness.facet_table", "transfer.mesh_ratio",
                  "discrete.discretise.rigid_motions"):
         module, name = name.rsplit(".", 1)
         monkeypatch.setattr(import_module(f"adaptmg.{module}"), name, refuse)

@@ -1,9 +1,8 @@
-from .arrays import MeshArrays as MeshArrays
+from .arrays import MeshArrays as MeshArrays, to_ngsolve as to_ngsolve
 from .bisection import bisect as bisect, refine_near as refine_near
 from .bisection.onto_domain import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized
 from .netgen_solid import solid_mesh as solid_mesh
-from .ngsolve_bridge import to_ngsolve as to_ngsolve
 from .read import as_mesh as as_mesh, from_gmsh as from_gmsh, from_ngsolve as from_ngsolve
 from .size_near import SizeNear as SizeNear
 from .soundness import (

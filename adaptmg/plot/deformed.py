@@ -22,7 +22,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, facet_table
 from adaptmg.plot import style
-from adaptmg.plot.surfaces import Lines, Surface, finish_axes, sharp_edges
+from adaptmg.plot.surfaces import Lines, ShadedSurface, finish_axes, sharp_edges
 from adaptmg.solver.result import Result
 
 #: the largest number of elements whose edges are drawn by default
@@ -182,7 +182,7 @@ def _draw_solid(ax: Axes3D, result: Result, shapes: Sequence[_Shape], before: np
         present |= set(state[state >= 0].tolist())
     edges = np.concatenate([sharp_edges(before, shape.facets) for shape in shapes])
     outlines = Lines(before[edges], style.GREY, 0.9, (4.0, 3.0)), Lines(after[edges], style.INK, 0.9)
-    ax.add_artist(Surface(after[facets], colors, lines, outlines,
+    ax.add_artist(ShadedSurface(after[facets], colors, lines, outlines,
                           0.28 if coloring is None and not states else 0.14))
     return present
 

@@ -16,7 +16,7 @@ from adaptmg.estimate.step import Step
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot import style
-from adaptmg.plot.surfaces import Surface, finish_axes, view_of
+from adaptmg.plot.surfaces import ShadedSurface, finish_axes, view_of
 from adaptmg.solver.contact_result import ContactResult
 
 #: of marked facets
@@ -110,7 +110,7 @@ def _draw(drawn: MeshArrays, ax: Axes, contact: Sequence[str], result: ContactRe
         else:
             style.stated_lines(ax, points, drawn.facets[mine], state, 2.6, style.ORANGE if result is None else None)
     if solid:
-        ax.add_artist(Surface(points[drawn.facets], colors))
+        ax.add_artist(ShadedSurface(points[drawn.facets], colors))
         finish_axes(ax, points, unit)
         view_of(ax, points[drawn.facets[marked]])
         return present
@@ -202,7 +202,7 @@ def _map(figure: Figure, ax: Axes, step: Step) -> None:
     if mesh.dim == 3:
         at_node = np.zeros(mesh.n_nodes)
         np.maximum.at(at_node, mesh.elements.ravel(), np.repeat(parts, 4))
-        ax.add_artist(Surface(points[mesh.facets], colors.to_rgba(at_node[mesh.facets].min(axis=1))))
+        ax.add_artist(ShadedSurface(points[mesh.facets], colors.to_rgba(at_node[mesh.facets].min(axis=1))))
         finish_axes(ax, points, unit)
         ax.set_axis_off()
     else:

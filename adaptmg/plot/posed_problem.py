@@ -25,7 +25,7 @@ from adaptmg.discrete.loads import load_density
 from adaptmg.discrete.supports import supported_nodes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot import style
-from adaptmg.plot.surfaces import Lines, Surface, finish_axes, normals_of, sharp_edges, view_of, viewer
+from adaptmg.plot.surfaces import Lines, ShadedSurface, finish_axes, normals_of, sharp_edges, view_of, viewer
 from adaptmg.problem import Assembly, Contact, ContactPair, ContactProblem, Domain, laws, loads
 
 _CONTACT, _MASTER, _SUPPORT = "#e8833a", "#f2c530", "#4fb38a"
@@ -220,7 +220,7 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D) -> None:
     edges = np.concatenate([sharp_edges(points, mesh.facets[body == k]) for k in range(len(mesh.bodies))])
     for support in (one for one in posed.supports if one.boundary is None):
         ax.plot(*points[supported_nodes(mesh, support)].T, "^", color=_SUPPORT, markeredgecolor=style.INK, zorder=9)
-    ax.add_artist(Surface(corners, colors, edges=False, lines=(
+    ax.add_artist(ShadedSurface(corners, colors, edges=False, lines=(
         Lines(points[edges], style.INK, 0.9), Lines(np.concatenate([np.empty((0, 2, 3)), *arrows]), style.BLUE, 1.6,
                                                      hidden="#8fbfe0"))))
     finish_axes(ax, points, unit)

@@ -40,7 +40,7 @@ class Lines:
     hidden: str | None = None  # colour of the parts behind the surface; None: not drawn
 
 
-class Surface(Artist):
+class ShadedSurface(Artist):
     """Shaded triangles (n, 3, 3) in colours (n, 4) or (n, 3, 4), and lines; the light stands behind the viewer's left
     shoulder. The edges of triangles are drawn if ``edges``, by default up to 6000 triangles."""
 

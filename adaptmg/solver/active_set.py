@@ -40,7 +40,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, local_system
 from adaptmg.solver.factorisation import Condensed, condense, condense_coarsest
-from adaptmg.solver.interior_point import ContactDofs, Interior, Unknowns, interior_point
+from adaptmg.solver.interior_point import ContactDofs, Interior, Span, interior_point
 from adaptmg.solver.iterate import Measure, State, StopTest, iterate
 from adaptmg.solver.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
@@ -352,7 +352,7 @@ class LinearSteps(Protocol):
         """The change (n_dofs,) for the last residual. LinAlgError if the equations are singular or an iterative linear
         solver does not converge."""
 
-    def inside(self) -> tuple[Unknowns, np.ndarray]:
+    def inside(self) -> tuple[Span, np.ndarray]:
         """The unknowns of the interior point method, and their load."""
 
     def outside(self, found: Interior) -> np.ndarray:
@@ -379,7 +379,7 @@ class CondensedSteps:
             self._particular, force = self.condensed.reduce(residual)
         return force.reshape(-1, self.local.system.dim)
 
-    def inside(self) -> tuple[Unknowns, np.ndarray]:
+    def inside(self) -> tuple[Span, np.ndarray]:
         free = ~self.local.system.fixed[self.condensed.contact]
         with self.run.phase("solve"):
             return (ContactDofs(self.condensed.matrix, free.reshape(-1, self.local.system.dim)),
@@ -440,7 +440,7 @@ class SparseSteps:
         self._residual = residual
         return residual.reshape(-1, self.local.system.dim)[self.local.system.nodes]
 
-    def inside(self) -> tuple[Unknowns, np.ndarray]:
+    def inside(self) -> tuple[Span, np.ndarray]:
         return _SparseUnknowns(self), self.local.load
 
     def outside(self, found: Interior) -> np.ndarray:

@@ -42,7 +42,7 @@ class CoarseContact:
         fixed[levels[self.number].matrix.fixed] = True
         system = LocalSystem.from_matrix(matrix, fixed, nodes)
         self.eliminated = eliminate(system, coordinates[self.number], lenient=True)
-        self.unknowns = _Span(self.eliminated.matrix, rows[:, self.eliminated.contact], dim)
+        self.unknowns = _CoarseSpan(self.eliminated.matrix, rows[:, self.eliminated.contact], dim)
         block = np.zeros((len(contact.nodes), dim, dim))
         block[(slice(None), *np.triu_indices(dim))] = contact.blocks.reshape(len(block), -1)
         self.stiffness = np.abs(block.diagonal(axis1=1, axis2=2))
@@ -96,8 +96,8 @@ def _without(rows: sparse.csr_array, fixed: np.ndarray) -> sparse.csr_array:
     return sparse.csr_array((rows.data * free[rows.indices], rows.indices, rows.indptr), shape=rows.shape)
 
 
-class _Span:
-    """Coarse unknowns; see :class:`~adaptmg.solver.interior_point.Unknowns`."""
+class _CoarseSpan:
+    """Coarse unknowns; see :class:`~adaptmg.solver.interior_point.Span`."""
 
     def __init__(self, matrix: np.ndarray, rows: sparse.csr_array, dim: int) -> None:
         self.matrix, self.rows, self.dim = matrix, rows, dim

@@ -216,7 +216,7 @@ class _Preconditioner:
 
 
 @dataclass(frozen=True, eq=False)
-class Correction:
+class HeldCorrection:
     """Of a displacement, in the space of its status."""
 
     energy: float  # N m; infinite where the status leaves a motion free that is loaded
@@ -225,14 +225,14 @@ class Correction:
 
 
 def correction(matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenStatus, residual: np.ndarray,
-               aggregates: Aggregates | None, negligible: float = 0.0, rounding: float = 0.0) -> Correction:
+               aggregates: Aggregates | None, negligible: float = 0.0, rounding: float = 0.0) -> HeldCorrection:
     """The correction that a residual brings about in the space of a status. If its energy is at most ``negligible``
     after the first step, 36 times that after the second, or 81 times after the third, that is the answer. A residual
     whose norm is at most ``rounding`` loads no motion. The diagonal blocks and the residual are overwritten."""
     status.project(residual)
     size, none = _dot(residual, residual), np.zeros((len(status.nodes), residual.shape[1]))
     if not 0.0 < size < np.inf:
-        return Correction(0.0 if size == 0.0 else np.inf, none, none)
+        return HeldCorrection(0.0 if size == 0.0 else np.inf, none, none)
     if aggregates is None:
         return _factorised(matrix, status, residual, rounding)
     given = residual.copy() if matrix.shape[0] <= _FACTORISED[residual.shape[1]] else None
@@ -242,7 +242,7 @@ def correction(matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenSta
 
 
 def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner,
-               negligible: float) -> tuple[Correction, bool]:
+               negligible: float) -> tuple[HeldCorrection, bool]:
     """A Galerkin solution, and whether further steps would change it little; overwrites the residual."""
     symmetric, energy, ritz = status.symmetric, 0.0, np.inf
     # orthonormal directions, what the equations make of them, and them and the matrix times them at contact nodes
@@ -255,7 +255,7 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
         direction, forces = precondition(residual)
         product, before = _dot(residual, direction), energy
         if not product > 0.0:
-            return Correction(energy, *total), True
+            return HeldCorrection(energy, *total), True
         here = np.stack([direction[at], forces[at]])
         dragged = np.einsum("nij,nj->ni", status.dragged, forces[at])
         forces[at] += np.einsum("nij,nj->ni", status.stiffening, direction[at])
@@ -269,7 +269,7 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
             here -= overlap * there
             square -= overlap * overlap
         if not square > _FREE * product:
-            return Correction(free, *total), False
+            return HeldCorrection(free, *total), False
         for vector in (direction, forces, here):
             vector /= np.sqrt(square)
         if symmetric:
@@ -279,36 +279,41 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
             total += share * here
             energy += share * share
         else:
-            row = equations[step - 1]
-            equations[:step - 1, step - 1] = [_dot(v, forces) for v, *_ in kept]
-            row[:step - 1] = [_dot(direction, f) for _, f, _ in kept]
-            row[step - 1] = _dot(direction, forces)
             kept.append((direction, forces, here))
-            # what is left of the load and what the earlier directions take of it
-            taken = np.append(shares, 0.0)
-            load[step - 1] = _dot(direction, residual) + taken @ row[:step]
             try:
-                shares = np.linalg.solve(equations[:step, :step], load[:step])
+                shares, taken = _galerkin(equations, load, shares, kept, residual), np.append(shares, 0.0)
             except np.linalg.LinAlgError:
-                return Correction(free, *total), False
+                return HeldCorrection(free, *total), False
             for share, (_, f, there) in zip(shares - taken, kept, strict=True):
                 _add(-share, f, residual)
                 total += share * there
             energy = float(shares @ shares)
         if energy <= negligible:
-            return Correction(energy, *total), True
+            return HeldCorrection(energy, *total), True
         basis[step - 1 - len(overlaps):step, step - 1] = np.append(overlaps, np.sqrt(square)) / np.sqrt(product)
         last, ritz = ritz, np.linalg.svd(basis[:step, :step], compute_uv=False)[-1] ** 2
         whole = max(before + product / ritz, energy)
         left = whole - energy if symmetric else max(whole - energy, abs(energy - before))
         if step > 1 and whole <= (min(step, _LEAST) * _SURER) ** 2 * negligible:
-            return Correction(whole, *total), True
+            return HeldCorrection(whole, *total), True
         if step >= _LEAST and left <= _MISSING * energy and ritz >= _SETTLED * last:
-            return Correction(whole, *total), True
-    return Correction(energy, *total), False
+            return HeldCorrection(whole, *total), True
+    return HeldCorrection(energy, *total), False
 
 
-def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, rounding: float) -> Correction:
+def _galerkin(equations: np.ndarray, load: np.ndarray, shares: np.ndarray,
+              kept: list[tuple[np.ndarray, np.ndarray, np.ndarray]], residual: np.ndarray) -> np.ndarray:
+    """The shares of all directions, the last of which is new; the unsymmetric equations grow by a row and a column."""
+    n, (direction, forces, _) = len(kept), kept[-1]
+    equations[:n - 1, n - 1] = [_dot(v, forces) for v, *_ in kept[:-1]]
+    equations[n - 1, :n] = [_dot(direction, f) for _, f, _ in kept]
+    # what is left of the load and what the earlier directions take of it
+    load[n - 1] = _dot(direction, residual) + shares @ equations[n - 1, :n - 1]
+    return np.linalg.solve(equations[:n, :n], load[:n])
+
+
+def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, rounding: float
+                ) -> HeldCorrection:
     n, dim = residual.shape
     eye = np.tile(np.eye(dim), (n, 1, 1))
 
@@ -333,7 +338,7 @@ def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.nda
     image = (matrix @ found).reshape(n, dim)
     nodal = found.reshape(n, dim)
     energy = max(_dot(nodal, image), 0.0) if np.linalg.norm(rest) <= most_left else float("inf")
-    return Correction(energy, nodal[status.nodes], image[status.nodes])
+    return HeldCorrection(energy, nodal[status.nodes], image[status.nodes])
 
 
 def _add(factor: float, vector: np.ndarray, to: np.ndarray) -> None:

@@ -56,7 +56,7 @@ class Interior:
     steps: int
 
 
-def interior_point(unknowns: Unknowns, load: np.ndarray, contact: NodalContact | Conditions, stiffness: np.ndarray,
+def interior_point(unknowns: Span, load: np.ndarray, contact: NodalContact | Conditions, stiffness: np.ndarray,
                    tolerance: float, offset: np.ndarray | float = 0.0, most: int = 60) -> Interior:
     """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in at most so many steps. ``stiffness``
     (n_contact, dim), N/m, scales the start, which needs no admissible displacement."""
@@ -73,7 +73,7 @@ def interior_point(unknowns: Unknowns, load: np.ndarray, contact: NodalContact |
 class _Method:
     """The iterate of an interior point method, and its steps."""
 
-    def __init__(self, unknowns: Unknowns, load: np.ndarray, contact: NodalContact | Conditions, stiffness: np.ndarray,
+    def __init__(self, unknowns: Span, load: np.ndarray, contact: NodalContact | Conditions, stiffness: np.ndarray,
                  offset: np.ndarray | float) -> None:
         n, dim = stiffness.shape
         self.dim, self.load, self.span = dim, load, unknowns
@@ -137,7 +137,7 @@ class _Method:
         return more, _complete(self.state, *self.nodes, self.terms, self.change)
 
 
-class Unknowns(Protocol):
+class Span(Protocol):
     """The unknowns e of a matrix S, and what they mean at contact nodes."""
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:

@@ -32,9 +32,8 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_path, advise_on_problem, once
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.fallback import handed_over
 from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
-from adaptmg.solver.multigrid import FullMultigrid, Multigrid
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import KINDS, NotConverged, Result
 from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, method_argument, result_of

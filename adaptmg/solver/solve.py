@@ -29,9 +29,8 @@ from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise_on_problem, advise_on_result, once
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.fallback import handed_over
 from adaptmg.solver.iterate import StopTest
-from adaptmg.solver.multigrid import FullMultigrid, Multigrid
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import NotConverged, Result, label, problem_name, versions
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions

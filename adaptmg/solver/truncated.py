@@ -2,7 +2,7 @@ r"""TruncatedRun: the truncated nonsmooth Newton multigrid: nested start, cycles
 
 Truncated are the options of its parts. TruncatedRun solves the coarsest level by the active set method, the levels
 above it by a few cycles each, and the finest to the tolerance. Where that does not converge (friction of 3, say)
-:mod:`adaptmg.solver.fallback` takes the cycles that are left.
+:func:`adaptmg.solver.multigrid.handed_over` gives another method the cycles that are left.
 
 The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the next coarser level proposes estimates the
 error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last

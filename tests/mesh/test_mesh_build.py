@@ -115,5 +115,5 @@ def test_as_mesh_takes_arrays_and_reads_copies(tmp_path, monkeypatch):
         as_mesh(tmp_path / "mesh.stl")
     mesh = structured(Rectangle(width=1, height=1), 2)
     # nobody asks for the source
-    monkeypatch.setattr("adaptmg.mesh.ngsolve_bridge.to_ngsolve", lambda *_, **__: pytest.fail("built"))
+    monkeypatch.setattr("adaptmg.mesh.arrays.to_ngsolve", lambda *_, **__: pytest.fail("built"))
     assert as_mesh(mesh) is mesh and as_mesh(replace(mesh, source=None)).sound

@@ -11,7 +11,7 @@ from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.solver import fallback
+from adaptmg.solver import multigrid
 from adaptmg.solver.factorisation import FACTORISED
 from adaptmg.solver.projected import ProjectedRun
 from adaptmg.solver.truncated import TruncatedIteration
@@ -80,7 +80,7 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, failing, mo
     else:
         def singular(self, hierarchy, run, start):
             raise np.linalg.LinAlgError("singular")
-        monkeypatch.setattr(fallback.ActiveSet, "run", singular)
+        monkeypatch.setattr(multigrid.ActiveSet, "run", singular)
     result = am.solve(failing[0], am.Multigrid(), throw=False)
     assert "Monotone from cycle" in result.fallback
     # slow, but on its way, and not in silence
