@@ -32,7 +32,7 @@ from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact
 
 
 class Condensation(Protocol):
-    """A matrix condensed to its contact dofs; :class:`adaptmg.solver.factorisation.Condensed` is one."""
+    """A matrix condensed to its contact dofs; :class:`adaptmg.smoother.factorisation.Condensed` is one."""
 
     @property
     def problem(self) -> LocalProblem: ...

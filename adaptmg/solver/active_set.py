@@ -37,10 +37,10 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import rotate
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.smoother.factorisation import Condensed, condense, condense_coarsest
+from adaptmg.smoother.interior_point import ContactDofs, Interior, Span, interior_point
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, local_system
-from adaptmg.solver.factorisation import Condensed, condense, condense_coarsest
-from adaptmg.solver.interior_point import ContactDofs, Interior, Span, interior_point
 from adaptmg.solver.iterate import Measure, State, StopTest, iterate
 from adaptmg.solver.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
@@ -75,7 +75,7 @@ class ActiveSet:
 
     Notes
     -----
-    The interior point method (:mod:`adaptmg.solver.interior_point`) finds the contact status in 5 to 15 steps on any
+    The interior point method (:mod:`adaptmg.smoother.interior_point`) finds the contact status in 5 to 15 steps on any
     body, however flexible. Where a status comes back in the Newton steps after it, or from a given start, or leaves a
     motion free, they begin again from an interior point, with a smaller tolerance each time. Steps of both kinds count.
 

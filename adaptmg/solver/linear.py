@@ -21,7 +21,7 @@ from scipy.sparse.linalg import LinearOperator
 
 from adaptmg import _checks as checks
 from adaptmg._blas import seeded
-from adaptmg.solver.factorisation import OrderedFactors, dofs_of, nested_dissection, node_graph
+from adaptmg.smoother.factorisation import OrderedFactors, dofs_of, nested_dissection, node_graph
 
 if TYPE_CHECKING:
     import pyamg

@@ -23,9 +23,9 @@ from adaptmg._text import brief
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.corrections import Correction, Monotone
 from adaptmg.multigrid.cycle import CoarseSolve, Cycle, NestedStart
+from adaptmg.smoother.factorisation import FACTORISED
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.solver.active_set import ActiveSet
-from adaptmg.solver.factorisation import FACTORISED
 from adaptmg.solver.projected import ProjectedRun
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.solver.truncated import Truncated, TruncatedRun

@@ -20,9 +20,9 @@ from adaptmg.multigrid.cycle import (
     project,
     prolonged_start,
 )
+from adaptmg.smoother.factorisation import Condensed, condense
 from adaptmg.smoother.gauss_seidel import Smoother
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
-from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, StopTest, WholeSteps, iterate
 from adaptmg.solver.record import Outcome, Run
 

@@ -9,11 +9,11 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import project
+from adaptmg.smoother.factorisation import Condensed, condense
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.examine import Sizes
-from adaptmg.solver.factorisation import Condensed, condense
 from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, StopTest, WholeSteps, iterate
 from adaptmg.solver.record import Outcome, Run, Status
 

@@ -29,9 +29,9 @@ from adaptmg._on_demand import remembered
 from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.smoother.factorisation import REMEMBERED, condense_coarsest
 from adaptmg.solver.advice import advise
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.factorisation import REMEMBERED, condense_coarsest
 
 _LOG = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ the residual r of the displacement, gaps g, slips :math:`\tau`, pressures p, fri
 .. math:: P^T(A P c + N^T p + T^T q - r) = 0,\quad 0 \le p \perp g - N P c \ge 0,\quad |q| \le s + \mu p,
 
 and q along the slip :math:`\tau + T P c`. The unknowns that reach no contact node are eliminated, and
-:mod:`adaptmg.solver.interior_point` solves the rest. That module is the only one shared with the solvers: what it finds
-is measured on the matrix afterwards, so that no fault in it can make an error small.
+:mod:`adaptmg.smoother.interior_point` solves the rest. That module is the only one shared with the solvers: what it
+finds is measured on the matrix afterwards, so that no fault in it can make an error small.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from scipy.sparse.linalg import splu
 
 from adaptmg.discrete.coordinates import frames_of, from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.smoother.interior_point import Conditions, dense_factors, interior_point
 from adaptmg.solver.aggregates import aggregates_of, raised
-from adaptmg.solver.interior_point import Conditions, dense_factors, interior_point
 
 #: what may be missing in the conditions
 _ENOUGH = 1e-4

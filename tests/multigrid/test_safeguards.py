@@ -11,8 +11,8 @@ from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.smoother.factorisation import FACTORISED
 from adaptmg.solver import multigrid
-from adaptmg.solver.factorisation import FACTORISED
 from adaptmg.solver.projected import ProjectedRun
 from adaptmg.solver.truncated import TruncatedIteration
 

@@ -13,10 +13,10 @@ from smoother_problems import network
 import adaptmg as am
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.mesh.structured import structured
+from adaptmg.smoother import factorisation
+from adaptmg.smoother.factorisation import condense, nested_dissection, node_graph
 from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver import factorisation
 from adaptmg.solver.active_set import local_near_nullspace
-from adaptmg.solver.factorisation import condense, nested_dissection, node_graph
 
 
 def bar(divisions: int, problem: am.ContactProblem | None = None) -> DiscreteProblem:

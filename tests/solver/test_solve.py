@@ -10,8 +10,8 @@ import pytest
 from made import result_on
 
 import adaptmg as am
+from adaptmg.smoother.factorisation import condense_coarsest
 from adaptmg.solver.aggregates import aggregates_of
-from adaptmg.solver.factorisation import condense_coarsest
 from adaptmg.solver.iterate import State, StopTest, iterate
 from adaptmg.solver.record import Run
 from adaptmg.solver.statics import critical_friction

@@ -8,7 +8,7 @@ contact nodes, in their frames, e solves
 .. math:: A_c e + B' q(w + B e) = P' r,
 
 q being the contact forces that belong to the displacements w + B e of the contact nodes. Coarse unknowns that reach no
-contact node are eliminated once; the interior point method (:mod:`adaptmg.solver.interior_point`) solves the rest.
+contact node are eliminated once; the interior point method (:mod:`adaptmg.smoother.interior_point`) solves the rest.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.multigrid.truncated_step import TruncatedStep
+from adaptmg.smoother.factorisation import dofs_of, eliminate
+from adaptmg.smoother.interior_point import dense_factors, interior_point
 from adaptmg.smoother.system import LocalSystem, NodalContact
-from adaptmg.solver.factorisation import dofs_of, eliminate
-from adaptmg.solver.interior_point import dense_factors, interior_point
 
 
 class CoarseContact:
@@ -97,7 +97,7 @@ def _without(rows: sparse.csr_array, fixed: np.ndarray) -> sparse.csr_array:
 
 
 class _CoarseSpan:
-    """Coarse unknowns; see :class:`~adaptmg.solver.interior_point.Span`."""
+    """Coarse unknowns; see :class:`~adaptmg.smoother.interior_point.Span`."""
 
     def __init__(self, matrix: np.ndarray, rows: sparse.csr_array, dim: int) -> None:
         self.matrix, self.rows, self.dim = matrix, rows, dim
