@@ -108,8 +108,8 @@ class KeptMultigrid(TruncatedRun):
         self.run.start_work_units = self.run.work_units
         return result
 
-    def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
-        outcome = super().finish(unknowns, cold)
+    def finish(self, unknowns: np.ndarray, start: str) -> Outcome:
+        outcome = super().finish(unknowns, start)
         self.spent = outcome.left > 0
         return outcome
 
@@ -142,10 +142,11 @@ class TruncatedSteps:
 
     def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
             ) -> tuple[Outcome, list[np.ndarray] | None]:
-        multigrid, coarse, cold = self._kept(hierarchy, run), None, not past.given
+        multigrid, coarse = self._kept(hierarchy, run), None
+        kind = "given" if past.given else "zero"
         if self.start is not None:
             *coarse, start = multigrid.increment(self.start, past.levels)
-            cold = False
+            kind = "given" if past.given else "nested"
             with run.phase("start"):
                 # not where the nested start sets the tolerance
                 if (past.given and self.rtol != "discretisation" and examiner.relative_residual(past.extrapolated)
@@ -153,7 +154,7 @@ class TruncatedSteps:
                     start = past.extrapolated
         else:
             start = better_start(examiner, past, run) if past.given else np.zeros(examiner.discrete.n_dofs)
-        outcome = multigrid.finish(examiner.discrete.from_prescribed(start), cold)
+        outcome = multigrid.finish(examiner.discrete.from_prescribed(start), kind)
         self.hold(outcome.rtol)
         return outcome, coarse
 

@@ -46,7 +46,7 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 class TruncatedIteration(StopTest):
     """Cycles on one level, measured after the smoothing, and their test.
-    ``run`` asks the certificate and keeps the history. ``cold``: the start is zero.
+    ``run`` asks the certificate and keeps the history. ``start``: "zero", "nested" or "given".
     ``coarse`` makes the contact problem on a coarse level.
     ``nested`` is the start (n_dofs,) from which ``rtol="discretisation"`` is measured. ``hands_over``: end where the
     tolerance is out of reach at the present speed."""
@@ -73,7 +73,7 @@ class TruncatedIteration(StopTest):
     MOVES, SMALL, LARGE, MIDDLE = 8, 3e-3, 0.03, 1e-3
 
     def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
-                 run: Run | None = None, cold: bool = False, nested: np.ndarray | None = None,
+                 run: Run | None = None, start: str = "given", nested: np.ndarray | None = None,
                  hands_over: bool = False, coarse: Callable[[], CoarseContact] | None = None) -> None:
         super().__init__(0.0 if rtol == "discretisation" else rtol, limit)
         self.multigrid, self.problem, self.run, self.sizes = multigrid, problem, run, Sizes(problem)
@@ -81,7 +81,7 @@ class TruncatedIteration(StopTest):
         self._nested, self._hands_over = nested, hands_over
         self._most, self._safe = self.SAFE_CYCLES, 0
         self._first, self._since = np.nan, 0
-        self._coarse, self._cold, self._moves, self._changed, self._shorten = coarse, cold, list[float](), 0, False
+        self._coarse, self._start, self._moves, self._changed, self._shorten = coarse, start, list[float](), 0, False
 
     def step(self) -> State | Status:
         """Correct, unless it is the first step, and measure what the smoothing leaves."""
@@ -91,7 +91,7 @@ class TruncatedIteration(StopTest):
         multigrid, sizes, cycles = self.multigrid, self.sizes, len(self.changes)
         # each cycle only where the displacement has to grow into prescribed values
         measured = cycles % 4 == 0 or sizes.prescribed
-        self._shorten, moved = self._coarse is not None and cycles == 0, None
+        self._shorten, moved = self._coarse is not None and self._start != "given" and cycles == 0, None
         if self._seeks_status():
             multigrid.smooth()
             moved, measured = self._coarse()(), True
@@ -123,7 +123,7 @@ class TruncatedIteration(StopTest):
         if self._coarse is None or len(self._moves) >= self.MOVES or (self._moves and self._moves[-1] < self.SMALL):
             return False
         if not self.changes:
-            return self._cold
+            return self._start == "zero"
         last = self.change
         return last > self.LARGE or (last > self.MIDDLE and self._changed > 1)
 
@@ -292,10 +292,10 @@ class TruncatedRun:
         """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero."""
         problem = self.problems[-1]
         return self.finish(np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start),
-                           cold=start is None)
+                           "zero" if start is None else "given")
 
     def from_nested(self, start: NestedStart) -> Outcome:
-        return self.finish(self.nested_start(start), cold=False)
+        return self.finish(self.nested_start(start), "nested")
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,), Cartesian."""
@@ -326,13 +326,13 @@ class TruncatedRun:
         before, here, after = (1 / mesh.n_nodes for mesh in meshes)
         return (here - after) / (before - here)
 
-    def finish(self, unknowns: np.ndarray, cold: bool) -> Outcome:
+    def finish(self, unknowns: np.ndarray, start: str) -> Outcome:
         problem = self.problems[-1]
         nested = unknowns.copy() if self.rtol == "discretisation" else None
         step = self._step(len(self.hierarchy) - 1, unknowns)
         del unknowns  # long vectors limit the size of a problem
         with self.run.phase("cycles"):
-            cycles = TruncatedIteration(step, problem, self.rtol, self.max_cycles, run=self.run, cold=cold,
+            cycles = TruncatedIteration(step, problem, self.rtol, self.max_cycles, run=self.run, start=start,
                                         nested=nested, hands_over=problem.n_dofs <= FACTORISED[problem.dim],
                                         coarse=partial(self._coarse_contact, step) if len(problem.contact) else None)
             status = iterate(cycles, cycles, self.run)
