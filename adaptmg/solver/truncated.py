@@ -69,8 +69,9 @@ class TruncatedIteration(StopTest):
     #: cycles over which the speed is measured once there are twice as many, and the largest share of those left
     WINDOW, MOST = 12, 0.7
     #: contact problems on a coarse level at most; a correction by the last, relative, below which there is no further
-    #: one; the linear correction above which there is one, and above which there is one if more than one status changed
-    MOVES, SMALL, LARGE, MIDDLE = 8, 3e-3, 0.03, 1e-3
+    #: one; the linear correction above which there is one; and those above which there is one if more than one status
+    #: changed, from zero and from the third cycle on after other starts
+    MOVES, SMALL, LARGE, MIDDLE, LATE = 8, 3e-3, 0.05, 1e-3, 0.01
 
     def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
                  run: Run | None = None, start: str = "given", nested: np.ndarray | None = None,
@@ -124,8 +125,9 @@ class TruncatedIteration(StopTest):
             return False
         if not self.changes:
             return self._start == "zero"
-        last = self.change
-        return last > self.LARGE or (last > self.MIDDLE and self._changed > 1)
+        # after a nested start the first cycles settle most statuses by themselves
+        middle = self.MIDDLE if self._start == "zero" else self.LATE if len(self.changes) > 2 else self.LARGE
+        return self.change > self.LARGE or (self.change > middle and self._changed > 1)
 
     def _correct(self) -> Status | None:
         self.changes.append(float(np.sqrt(abs(self.multigrid.correct(self._shorten)))))
