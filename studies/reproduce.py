@@ -112,7 +112,7 @@ def run_all(names: Sequence[str], options: Sequence[str], out: Path, workers: in
         for done, run in enumerate(as_completed(runs), 1):
             code, seconds, last = run.result()
             spent += cost[runs[run]]
-            say(f"[{done}/{len(names)}, {spent / sum(map(cost.get, names)):.0%}] {runs[run]}: "
+            say(f"[{done}/{len(names)}, {spent / sum(cost[name] for name in names):.0%}] {runs[run]}: "
                 f"{f'FAILED, {last}' if code else last} ({seconds:.0f} s)")
             failed |= {runs[run]} if code else set()
     return failed
