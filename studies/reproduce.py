@@ -101,7 +101,8 @@ def question(name: str) -> str:
 
 def say(text: str) -> None:
     """Write a line on standard error."""
-    print(text, file=sys.stderr, flush=True)
+    sys.stderr.write(text + "\n")  # in one piece: several threads write
+    sys.stderr.flush()
 
 
 def run_all(names: Sequence[str], options: Sequence[str], out: Path, workers: int) -> set[str]:

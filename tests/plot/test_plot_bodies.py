@@ -18,7 +18,7 @@ from adaptmg import plot
 from adaptmg.discrete.stress import full_stress, von_mises
 from adaptmg.plot.contact_surfaces import flattened, lines_of
 from adaptmg.plot.style import STATE_INKS, polylines
-from adaptmg.plot.surfaces import Surface
+from adaptmg.plot.surfaces import ShadedSurface
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
 
@@ -137,7 +137,7 @@ def test_stress_is_that_of_each_body_in_megapascal(result):
     assert bar.get_ylim()[1] == pytest.approx(1e-6 * np.quantile(stress, 0.99))
     if result.dim == 3:
         # rubber low, steel high: each facet shows the element behind it
-        (surface,) = plot.deformation(result, 0, stress=True).findobj(Surface)
+        (surface,) = plot.deformation(result, 0, stress=True).findobj(ShadedSurface)
         lower = surface.corners.mean(axis=1)[:, 2] < -1.0
         assert lower.any() and np.ptp(surface.colors[lower], axis=(0, 1)).max() < 0.05
         assert np.abs(surface.colors[~lower].mean(axis=(0, 1)) - surface.colors[lower].mean(axis=(0, 1))).max() > 0.3

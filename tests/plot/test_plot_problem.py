@@ -11,7 +11,7 @@ from pictures import words
 
 import adaptmg as am
 from adaptmg.plot.posed_problem import boundary_edges, spread
-from adaptmg.plot.surfaces import Surface
+from adaptmg.plot.surfaces import ShadedSurface
 
 STEEL = {"young": 2e11, "poisson": 0.3}
 
@@ -98,7 +98,7 @@ def test_solids_are_drawn_on_a_mesh():
         "contact on 'upper.bottom'", "its master 'lower.bottom'", "p = 20 MPa on 'upper.rest'", "frictionless contact",
         "$u_z$ = 0 on 'lower.rest'", "initial strain in 'upper'\n$\\varepsilon_z$ = -0.001"))
     # parts of arrows behind a body are pale
-    (surface,) = am.plot.problem(posed, mesh=two_bodies(3, 4, 3).mesh).findobj(Surface)
+    (surface,) = am.plot.problem(posed, mesh=two_bodies(3, 4, 3).mesh).findobj(ShadedSurface)
     assert {line.hidden is None for line in surface.lines} == {True, False}
     with pytest.raises(ValueError, match="no domain"):
         am.plot.problem(posed)
@@ -112,7 +112,7 @@ def test_the_picture_of_a_solid_shows_its_contact_and_where_loads_act():
     elevation, azimuth = np.radians([ax.elev, ax.azim])
     # contact is below, the larger load on the left
     assert np.sin(elevation) < 0 and np.cos(elevation) * np.cos(azimuth) < 0
-    (surface,) = ax.findobj(Surface)
+    (surface,) = ax.findobj(ShadedSurface)
     # 24 arrows a load: shafts, then the four strokes of the heads
     shafts = surface.lines[1].ends.reshape(2, 5, 24, 2, 3)[:, 0].reshape(-1, 2, 3)
     for axis, place, pressure in ((0, 0.0, 1.5e8), (2, 1e3 * posed.domain.upper[2], 5e7)):

@@ -5,7 +5,7 @@ import pytest
 from made import cube
 from matplotlib.figure import Figure
 
-from adaptmg.plot.surfaces import Surface, raster_segments, raster_triangles
+from adaptmg.plot.surfaces import ShadedSurface, raster_segments, raster_triangles
 
 CORNERS = np.array([[[0, 0, 1], [8, 0, 1], [0, 8, 1]], [[0, 0, 2], [8, 0, 0], [8, 8, 0]]], dtype=float)
 
@@ -58,7 +58,7 @@ def test_a_surface_shows_the_front_of_a_body_from_wherever_it_is_seen():
     tints = np.linspace(0.1, 1.0, 6)
     colors = np.repeat(tints[2 * axis + side][:, None], 4, axis=1)
     ax = Figure().add_subplot(projection="3d")
-    surface = Surface(mesh.points[mesh.facets], colors, edges=False, shading=0.0)
+    surface = ShadedSurface(mesh.points[mesh.facets], colors, edges=False, shading=0.0)
     ax.add_artist(surface)
     ax.set(xlim=(0, 1), ylim=(0, 1), zlim=(0, 1))
     for elevation, azimuth, front in ((0, 0, 1), (0, 180, 0), (0, 90, 3), (90, 0, 5), (-90, 0, 4)):
