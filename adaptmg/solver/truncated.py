@@ -71,7 +71,7 @@ class TruncatedIteration(StopTest):
     #: contact problems on a coarse level at most; a correction by the last, relative, below which there is no further
     #: one; the linear correction above which there is one; and those above which there is one if more than one status
     #: changed, from zero and from the third cycle on after other starts
-    MOVES, SMALL, LARGE, MIDDLE, LATE = 8, 3e-3, 0.05, 1e-3, 0.01
+    MOVES, SMALL, LARGE, MIDDLE, LATE = 8, 3e-3, 0.05, 1e-3, 2e-3
 
     def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
                  run: Run | None = None, start: str = "given", nested: np.ndarray | None = None,

@@ -196,7 +196,7 @@ def test_a_tolerance_below_rounding_is_refused_and_the_least_one_named():
     for solver in (am.ActiveSet(rtol=1e-12), am.Multigrid(rtol=1e-12)):
         result = am.solve(grids, solver, throw=False)
         assert result.status is am.Status.ROUNDING and result.cycles <= 50
-        assert am.solve(grids, replace(solver, rtol=5 * result.error_estimate)).status.ok
+        assert am.solve(grids, replace(solver, rtol=20 * result.error_estimate)).status.ok
 
 
 def test_a_patch_test_to_the_discretisation_error():
