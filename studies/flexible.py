@@ -84,7 +84,7 @@ def study(out: Output) -> None:
     table = am.Study(run, points, out.store).run(throw=True)
     out.table("flexible", table[["body", "value", "nodes", *METHODS]], "Cycles to a relative energy error of 1e-6",
               "Cycles of the default after its nested start and from zero; steps of the active set method. In "
-              "brackets: the method that took over.", card="Flexible bodies, large friction", formats={"value": "g"})
+              "brackets: the method that took over.", formats={"value": "g"})
     beams = table[table["body"] == "cantilever, slenderness"]
     worst = [int(beams[f"{name}, n"].max()) for name in METHODS]
     out.number("Cantilevers 6 : 1 to 96 : 1, friction 0.3: most cycles to 1e-6; from zero; steps of the active set",
