@@ -336,7 +336,7 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
                 dips[e] = np.inf
             else:
                 t = walk(points, elements, across, e, n)
-            # where the bounded walk does not arrive the triangle stays as large as it is
+            # where the bounded walk does not arrive the triangle keeps its size
             if t >= 0 and _is_free(points, elements, across, t, n, _APART * h):
                 sizes[n] = h if dip else _interpolated(points, elements, t, n, sizes)
                 more = insert(points, elements, across, count, t, n, settled)

@@ -58,8 +58,8 @@ class Interior:
 
 def interior_point(unknowns: Span, load: np.ndarray, contact: NodalContact | Conditions, stiffness: np.ndarray,
                    tolerance: float, offset: np.ndarray | float = 0.0, most: int = 60) -> Interior:
-    """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in at most so many steps. ``stiffness``
-    (n_contact, dim), N/m, scales the start, which needs no admissible displacement."""
+    """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in ``most`` steps or fewer.
+    ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible displacement."""
     method = _Method(unknowns, load, contact, stiffness, offset)
     best, steps, since = method.iterate(), 0, 0
     while steps < most and best.slack > tolerance and not (since >= _IDLE and best.slack < _ROUNDING):

@@ -56,8 +56,8 @@ class TruncatedIteration(StopTest):
     SAFETY, TAIL = 3.0, 1.5
     #: the least rate that is believed before this many ratios of energies
     EARLY_RATE, EARLY = 0.3, 3
-    #: safe cycles at most, before the iteration is in trouble
-    SAFE_CYCLES = 20
+    #: safe cycles of an iteration in trouble; cycles at most after which a level of the nested start is trusted
+    SAFE_CYCLES, START_CYCLES = 40, 20
     #: natural residual, relative, above which a start is not believed
     TRUSTED = 0.1
     #: share of the discretisation error that may remain with rtol="discretisation"
@@ -80,7 +80,7 @@ class TruncatedIteration(StopTest):
         self.multigrid, self.problem, self.run, self.sizes = multigrid, problem, run, Sizes(problem)
         self.residuals: list[float] = []
         self._nested, self._hands_over = nested, hands_over
-        self._most, self._safe = self.SAFE_CYCLES, 0
+        self._safe, self._was_safe = 0, False
         self._first, self._since = np.nan, 0
         self._coarse, self._start, self._moves, self._changed, self._shorten = coarse, start, list[float](), 0, False
 
@@ -133,9 +133,9 @@ class TruncatedIteration(StopTest):
         self.changes.append(float(np.sqrt(abs(self.multigrid.correct(self._shorten)))))
         self.cycles = len(self.changes)
         if self._safe == 0 and self._in_trouble():
-            if self._most > self.SAFE_CYCLES:
+            if self._was_safe:
                 return Status.STALLED
-            self._most = self._safe = 2 * self.SAFE_CYCLES
+            self._safe, self._was_safe = self.SAFE_CYCLES, True
         if self._safe == 0 and self._hands_over and self._too_slow(self.limit - self.cycles):
             return Status.STALLED
         if self.cycles == 1 and self._nested is not None:
@@ -392,7 +392,7 @@ class TruncatedRun:
                 iterate(cycles, cycles)
             else:
                 sizes, enough = Sizes(problem), start.cycles_on(problem, self.problems[number + 1])
-                for cycle in range(max(enough, TruncatedIteration.SAFE_CYCLES)):
+                for cycle in range(max(enough, TruncatedIteration.START_CYCLES)):
                     # the next level takes over no iterate with a large residual
                     state = step.measure(trusted=lambda u: TruncatedIteration.TRUSTED * sizes.forces(u, 0.0))
                     trusted = TruncatedIteration.TRUSTED * sizes.forces(step.unknowns, state.reactions)
