@@ -2,8 +2,8 @@
 
     python studies/flexible.py [--quick | --full] [--out DIR]
 
-A cantilever is clamped at one end, a tenth of its thickness in gap per ten of its length above a rigid plane, and
-pressed down by three times what lets its tip touch: the simplest clip. A block lies on a block that is 1, 30 or 1000
+A cantilever is clamped at one end, a hundredth of its length above a rigid plane, and pressed down by three times what
+lets its tip touch: the simplest clip. A block lies on a block that is 1, 30 or 1000
 times softer (the slave is the upper one). The GRECO bar has friction .3 to 3, or a Poisson's ratio up to .49. All are
 solved to a relative energy error of 1e-6 by the default (nested start), by its cycles from zero, and by the active set
 method, whose steps of both kinds (interior point, Newton) count.

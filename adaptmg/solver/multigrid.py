@@ -200,7 +200,7 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
     start = outcome.displacement if outcome.better else None
     if outcome.left and problem.n_dofs <= FACTORISED[problem.dim]:
         for first in (start, None) if outcome.better else (None,):
-            # from all nodes sticking the second time
+            # from an interior point the second time
             solver = ActiveSet(rtol=outcome.rtol, max_steps=max(outcome.left, 1),
                                condensed=problem.dim * len(problem.contact.nodes) <= CONDENSED)
             outcome = _continued(outcome, solver, "ActiveSet", first, hierarchy, run)

@@ -22,9 +22,9 @@ class Status(Enum):
     """How a solver ended; the value is advice.
 
     CONVERGED: the certificate finds an energy error of at most rtol, relative, and the natural residual is at most 10
-    rtol; or both are rounding. The certificate's estimate is .75 to 1 times the true error; .2 to .4 times where
-    Poisson's ratio is nearly .5, or one body is a thousand times stiffer than the next. A user-defined solver is
-    trusted up to 3 rtol, and one that stops by its change (``stop="change"``) up to 10.
+    rtol; or both are rounding. The certificate's estimate was .25 to 2 times the true error in 98.5 % of 1396 random
+    runs; it may be .2 times where Poisson's ratio is nearly .5, or one body is far stiffer than the next. A
+    user-defined solver is trusted up to 3 rtol, and one that stops by its change (``stop="change"``) up to 10.
 
     Examples
     --------
