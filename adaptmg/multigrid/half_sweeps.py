@@ -20,9 +20,6 @@ from adaptmg._numba import kernel
 from adaptmg.smoother.blocks import add, in_loop, inner, read, scale, subtract, times, write
 from adaptmg.smoother.kernels import minus_row
 
-#: lines of the cache that a row of a half fills (2D)
-LINES = 2
-
 
 @kernel
 def forward_from_zero(first, last, order, zero, l_indptr, l_indices, lower, inverse, load, u, kept):
@@ -31,7 +28,7 @@ def forward_from_zero(first, last, order, zero, l_indptr, l_indices, lower, inve
     for place in range(first, last):
         row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
+        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(load, at, zero))
         write(kept, at, r)
         write(u, at, times(inverse, dim * at, r))
 
@@ -42,7 +39,7 @@ def forward_residual(first, last, order, zero, u_indptr, u_indices, upper, u, re
     dim = np.uint64(len(zero))
     for place in range(first, last):
         row, i = np.uint64(place), np.uint64(order[place])
-        write(result, dim * i, minus_row(row, 1, u_indptr, u_indices, upper, u, zero, LINES))
+        write(result, dim * i, minus_row(row, 1, u_indptr, u_indices, upper, u, zero))
 
 
 @kernel
@@ -52,7 +49,7 @@ def backward_change(first, last, order, zero, u_indptr, u_indices, upper, invers
     for place in range(last - 1, first - 1, -1):
         row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(row, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
+        r = minus_row(row, -1, u_indptr, u_indices, upper, u, read(kept, at, zero))
         new = times(inverse, dim * at, r)
         write(kept, at, subtract(new, read(u, at, zero)))
         write(u, at, new)
@@ -64,7 +61,7 @@ def residual(first, last, order, zero, l_indptr, l_indices, lower, kept):
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
         row, i = np.uint64(place), np.uint64(order[place])
-        write(kept, dim * i, minus_row(row, -1, l_indptr, l_indices, lower, kept, zero, LINES))
+        write(kept, dim * i, minus_row(row, -1, l_indptr, l_indices, lower, kept, zero))
 
 
 @kernel
@@ -75,9 +72,9 @@ def forward_full(first, last, order, zero, l_indptr, l_indices, lower, u_indptr,
     for place in range(first, last):
         row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(load, at, zero), LINES)
+        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(load, at, zero))
         write(kept, at, r)
-        r = minus_row(row, 1, u_indptr, u_indices, upper, u, r, LINES)
+        r = minus_row(row, 1, u_indptr, u_indices, upper, u, r)
         write(u, at, times(inverse, dim * at, r))
 
 
@@ -88,7 +85,7 @@ def backward_kept(first, last, order, zero, u_indptr, u_indices, upper, inverse,
     for place in range(last - 1, first - 1, -1):
         row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(row, -1, u_indptr, u_indices, upper, u, read(kept, at, zero), LINES)
+        r = minus_row(row, -1, u_indptr, u_indices, upper, u, read(kept, at, zero))
         write(u, at, times(inverse, dim * at, r))
 
 
@@ -99,8 +96,8 @@ def backward_full(first, last, order, zero, l_indptr, l_indices, lower, u_indptr
     for place in range(last - 1, first - 1, -1):
         row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(row, -1, u_indptr, u_indices, upper, u, read(load, at, zero), LINES)
-        r = minus_row(row, -1, l_indptr, l_indices, lower, u, r, LINES)
+        r = minus_row(row, -1, u_indptr, u_indices, upper, u, read(load, at, zero))
+        r = minus_row(row, -1, l_indptr, l_indices, lower, u, r)
         write(u, at, times(inverse, dim * at, r))
 
 

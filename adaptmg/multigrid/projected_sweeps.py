@@ -22,7 +22,6 @@ from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.discrete.coordinates import Coupling
-from adaptmg.multigrid.half_sweeps import LINES
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import (
     add,
@@ -65,7 +64,7 @@ def backward(first, last, order, zero, l_indptr, l_indices, lower, inverse, cont
         row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
         # kept comes last: it is the one to wait for, as the node before has just written to it
-        r = minus_row(row, -1, l_indptr, l_indices, lower, u, zero, LINES)
+        r = minus_row(row, -1, l_indptr, l_indices, lower, u, zero)
         r = add(read(kept, at, zero), r)
         if contact_of[i] < 0:
             new = times(inverse, dim * at, r)
@@ -84,7 +83,7 @@ def forward(first, last, order, zero, l_indptr, l_indices, lower, inverse, diago
     for place in range(first, last):
         row, i = np.uint64(place), np.uint64(order[place])
         at = dim * i
-        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(kept, at, zero), LINES)
+        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(kept, at, zero))
         if contact_of[i] < 0:
             new = times(inverse, dim * at, r)
             write(kept, at, zero)

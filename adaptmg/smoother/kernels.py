@@ -30,36 +30,21 @@ from adaptmg.smoother.blocks import (
     upper,
     write,
 )
-from adaptmg.smoother.compiling import AHEAD, prefetch
 from adaptmg.smoother.node_solve import natural_at, read_reference, solve
 
-#: lines of the cache that a row fills (2D)
-LINES = 4
 ONE = np.uint64(1)
 
 
 @in_loop
-def minus_row(i, step, indptr, indices, data, w, r, lines):
+def minus_row(i, step, indptr, indices, data, w, r):
     """r minus row i of a matrix (or half of one) times w. ``step``, 1 or -1, is the direction in which the matrix is
-    read. ``lines`` is about the number of lines of the cache that a row fills: in 1D and 2D they are prefetched once a
-    row, in 3D (a line a block) block by block."""
+    read."""
     dim = np.uint64(len(r))
-    size = dim * dim
     begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
-    if len(r) < 3:
-        ahead = np.int64(size) * begin + step * AHEAD
-        prefetch(data, ahead)
-        if lines > 1:
-            prefetch(data, ahead + np.int64(8))
-        if lines > 2:
-            prefetch(data, ahead + np.int64(16))
-            prefetch(data, ahead + np.int64(24))
     first = begin if step > 0 else end - np.int64(1)
     for entry in range(end - begin):
         k = np.uint64(first + step * entry)
-        if len(r) == 3:
-            prefetch(data, np.int64(size * k) + step * AHEAD)
-        r = subtract(r, times(data, size * k, read(w, dim * np.uint64(indices[k]), r)))
+        r = subtract(r, times(data, dim * dim * k, read(w, dim * np.uint64(indices[k]), r)))
     return r
 
 
@@ -79,7 +64,7 @@ def minus_transposed_row(i, step, indptr, indices, data, d, w):
 @in_loop
 def _residual_at(i, indptr, indices, data, load, w, zero, step):
     """The residual (b - A w) at node i; ``step``, 1 or -1, the direction in which the matrix is read."""
-    return minus_row(i, step, indptr, indices, data, w, read(load, np.uint64(len(zero)) * i, zero), LINES)
+    return minus_row(i, step, indptr, indices, data, w, read(load, np.uint64(len(zero)) * i, zero))
 
 
 @inner_kernel(forceinline=True)

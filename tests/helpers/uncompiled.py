@@ -4,11 +4,7 @@ from types import ModuleType
 
 import pytest
 
-from adaptmg.smoother import compiling
-
 __all__ = ["uncompile"]
-
-PREFETCH = compiling.prefetch
 
 
 def uncompile(monkeypatch: pytest.MonkeyPatch, *modules: ModuleType) -> None:
@@ -17,5 +13,3 @@ def uncompile(monkeypatch: pytest.MonkeyPatch, *modules: ModuleType) -> None:
         for name, value in vars(module).copy().items():
             if hasattr(value, "py_func"):
                 monkeypatch.setattr(module, name, value.py_func)
-            elif value is PREFETCH:
-                monkeypatch.setattr(module, name, compiling._ignored)
