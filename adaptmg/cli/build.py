@@ -1,4 +1,5 @@
-"""From the settings of the command line, by ``"section.key"``, to problem, grids, method, load path and adaptive loop.
+"""From the settings of the command line, by ``"section.key"``, to a solved case: problem, grids, method, load path and
+adaptive loop.
 
 The keys are the arguments of the classes and functions: fields of the option classes, arguments of cases and of the
 constructors of :class:`adaptmg.Hierarchy`. An object is chosen by the name of its class (``correction = "monotone"``),
@@ -10,21 +11,19 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg.cases import CASES, get
-from adaptmg.mesh.grading import sensible_sizes
 from adaptmg.problem.load_path import names_in_path
-from adaptmg.problem.plane_domains import Domain
 from adaptmg.solver.record import Solver
+from adaptmg.solver.result import Result
 from adaptmg.study.record import Value
 
 Settings = Mapping[str, Value]
@@ -41,9 +40,10 @@ OBJECTS: dict[str, tuple[type, ...]] = {
     "correction": (am.Truncated, am.Monotone, am.PaperCorrection), "linear": (am.Direct, am.AMG),
     "indicator": (am.Residual, am.Recovery, am.Goal), "mark": (am.Doerfler, am.Maximum),
     "engine": (am.Remesh, am.Bisect),
-    "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening)}
-#: arguments of methods that hold options of their own, a table each
-INNER = {"coarse": am.CoarseSolve, "start": am.NestedStart}
+    "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening),
+    "coarse": (am.CoarseSolve,), "start": (am.NestedStart,)}
+#: arguments whose fields are written with a point
+_INNER = ("coarse", "start")
 #: sections of settings, and their purposes
 PURPOSE = {
     "case": "the problem: its name, its law, and its arguments, see 'adaptmg cases NAME'",
@@ -94,27 +94,16 @@ def _class_of(argument: str, name: Value, kinds: Sequence[type]) -> type:
 
 @cache
 def _parameters(function: Maker) -> dict[str, tuple[inspect.Parameter, tuple[type, ...]]]:
-    found = {}
-    for name, item in inspect.signature(function).parameters.items():
-        if name in OBJECTS and not str(item.annotation).startswith("str"):
-            found[name] = (item, OBJECTS[name])
-        elif name not in _APART and name not in _inner(function):
-            found[name] = (item, ())
-    return found
+    """The arguments that settings can give, each with the classes that it may be."""
+    return {name: (item, () if str(item.annotation).startswith(("str", "float")) else OBJECTS.get(name, ()))
+            for name, item in inspect.signature(function).parameters.items() if name not in _APART}
 
 
 def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) -> type | None:
     """The class of an object that is not named; None for a required one, and where the default depends on others."""
-    if not kinds or item.default is item.empty or name == "correction":
+    if item.default is item.empty or name == "correction":
         return None
     return next((kind for kind in kinds if type(item.default) is kind), kinds[0])
-
-
-def _inner(function: Maker) -> dict[str, type]:
-    """Fields of a class that hold options of their own."""
-    fields = dataclasses.fields(function) if dataclasses.is_dataclass(function) else ()
-    return {field.name: INNER[field.name] for field in fields
-            if field.name in INNER and not str(field.type).startswith("str")}
 
 
 @cache
@@ -122,19 +111,17 @@ def keys_of(function: Maker) -> dict[str, Key]:
     """Return the keys of a class or function: its arguments, and those of the objects that these may be."""
     found, nested = {}, {}
     for name, (item, kinds) in _parameters(function).items():
-        default = _default_class(name, item, kinds)
         if kinds[1:]:
+            default = _default_class(name, item, kinds)
             found[name] = Key(" | ".join(map(name_of, kinds)), name_of(default) if default else "")
         elif not kinds:
             found[name] = Key(str(item.annotation).removesuffix(" | None"), _default(item.default))
-        for choice in kinds:
-            own = {key: Key(value.values, _default(getattr(item.default, key)))
-                   if type(item.default) is choice and hasattr(item.default, key) else value
-                   for key, value in keys_of(choice).items()}
-            nested |= {key: value for key, value in own.items() if key not in nested}
-    for name, kind in _inner(function).items():
-        nested |= {f"{name}.{key}": value for key, value in keys_of(kind).items()}
-    return found | {key: value for key, value in nested.items() if key not in found}
+        for kind in kinds:
+            for key, value in keys_of(kind).items():
+                if type(item.default) is kind and hasattr(item.default, key):
+                    value = Key(value.values, _default(getattr(item.default, key)))
+                nested.setdefault(f"{name}.{key}" if name in _INNER else key, value)
+    return nested | found
 
 
 def _default(value: object) -> str:
@@ -147,25 +134,20 @@ def arguments_of(function: Maker, given: Arguments, before: str, what: str) -> A
     """Return keyword arguments of a class or function, and remove them from ``given``. In messages keys begin with
     ``before``, such as "solver.", and ``what`` names the function."""
     found: Arguments = {}
-    known = _parameters(function)
-    for name in (name for name, (_, kinds) in known.items() if not kinds):
-        if table := _taken(given, name):
+    for name, (_, kinds) in _parameters(function).items():
+        # objects take the rest
+        if not kinds and (table := _taken(given, name)):
             found[name] = _by_level(before + name, table)
-        elif name in given:
+        elif not kinds and name in given:
             found[name] = given.pop(name)
-    for name, (item, kinds) in known.items():
-        if kinds:
+    for name, (item, kinds) in _parameters(function).items():
+        if name in _INNER and kinds and (table := _taken(given, name)):
+            found[name] = _made(kinds[0], table, f"{before}{name}.", name)
+        elif kinds and name not in _INNER:
             word = given.pop(name, None)
             kind = _default_class(name, item, kinds) if word is None else _class_of(before + name, word, kinds)
             if kind is not None and (word is not None or set(keys_of(kind)) & set(given)):
                 found[name] = kind(**arguments_of(kind, given, before, f"{before}{name} {name_of(kind)}"))
-    for name, kind in _inner(function).items():
-        if table := _taken(given, name):
-            try:
-                found[name] = _made(kind, table, f"{before}{name}.", name)
-            except (TypeError, ValueError) as error:
-                raise type(error)(f"{before}{name}: {error}") from error
-    for name, (item, _) in known.items():
         if item.default is item.empty and name not in found:
             raise ValueError(f"{what} needs {before}{name}")
     return found
@@ -234,43 +216,29 @@ def case_keys(name: str) -> dict[str, Key]:
     return {"case": sections()["case"]["case"], **keys_of(get(name).function)}
 
 
-def setting(known: Mapping[str, Mapping[str, Key]], name: str, value: object) -> Value:
-    """Return the value of a setting as a parameter; whole numbers are floats where an argument is one."""
-    part, _, key = name.partition(".")
-    keys = known[part]
-    # values by name, such as hierarchy.sizes.upper, have a key after the argument
-    head = keys.get(key.partition(".")[0])
-    by_name = "." in key and head is not None and "Mapping" in head.values
-    if not (key in keys or by_name or (part == "load_path" and key)):
-        raise ValueError(f"there is no argument {name!r}{checks.suggestion(key, keys)}; there are {', '.join(keys)}")
-    plain = _plain(name, value)
-    whole = type(plain) is int and key in keys and keys[key].real
-    return float(plain) if whole and abs(plain) < 1e300 else plain
-
-
-def _plain(name: str, value: object) -> Value:
-    if isinstance(value, list | tuple):
-        return tuple(_plain(f"{name}[{k}]", item) for k, item in enumerate(value))
-    if isinstance(value, bool | int | float | str):
-        return value
-    raise ValueError(f"{name} must be a number, text, true, false, or a list of those, got {checks.shown(value)}")
-
-
 def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Value]:
-    """Return the settings that the options of a command give as texts; lists have commas."""
-    get(case)
+    """Return the settings that the options of a command give as texts; lists have commas, and whole numbers are floats
+    where an argument is one."""
     known, found = sections() | {"case": case_keys(case) | sections()["case"]}, {"case.case": case}
+    del known["hierarchy" if adaptive else "adapt"]
     for name, text in texts.items():
         part, _, key = name.partition(".")
-        value = _value_of(text)
-        listed = key in known[part] and known[part][key].values.startswith("Sequence")
-        found[name] = setting(known, name, (value,) if listed and not isinstance(value, tuple) else value)
+        keys = known.get(part, {})
+        # values by name, such as hierarchy.sizes.upper, have a key after the argument
+        head = keys.get(key.partition(".")[0], Key(""))
+        if not (key in keys or ("." in key and "Mapping" in head.values) or (part == "load_path" and key)):
+            raise ValueError(f"there is no argument {name!r}{checks.suggestion(key, keys)}; there are "
+                             f"{', '.join(keys)}")
+        value, about = _value_of(text), keys.get(key, Key(""))
+        if about.values.startswith("Sequence") and not isinstance(value, tuple):
+            value = (value,)
+        found[name] = float(value) if type(value) is int and about.real and abs(value) < 1e300 else value
     if adaptive and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(found):
         found["adapt.max_nodes"] = _NODES
     return found
 
 
-def _value_of(text: str) -> object:
+def _value_of(text: str) -> Value:
     if "," in text:
         return tuple(_value_of(part.strip()) for part in text.split(","))
     if text in ("true", "false"):
@@ -308,50 +276,58 @@ def adaptation(settings: Settings) -> Arguments:
     return {**found, "load_path": load_path(settings), "solver": solver_of(solver) if solver else None}
 
 
-def sensible_grids(task: am.ContactProblem) -> Arguments:
-    """Return the arguments of a hierarchy for a problem: they follow the size of bodies and of contact boundaries."""
-    if are_blocks(task):
-        return {"divisions": _DIVISIONS[task.dim]}
-    return dict(zip(("sizes", "contact_ratio"), sensible_sizes(task.domain, task.pair_boundaries), strict=True))
-
-
 def grids(task: am.ContactProblem, given: Arguments) -> am.Hierarchy:
     """Return uniform grids, independent ones where sizes are given, or one of either bisected at contact."""
-    constructor, arguments, levels = grid_arguments(task, given)
-    found = constructor(task, **arguments)
-    return found if levels is None else am.Hierarchy.bisected(task, found.levels[0].mesh, levels)
-
-
-def grid_arguments(task: am.ContactProblem, given: Arguments
-                    ) -> tuple[Callable[..., am.Hierarchy], Arguments, int | None]:
-    """The constructor of a hierarchy with its arguments, and how often the mesh is bisected."""
     sized, divided = (any(key.split(".")[0] == name for key in given) for name in ("sizes", "divisions"))
     if sized and divided:
         raise ValueError("give hierarchy.divisions or hierarchy.sizes, not both")
-    if not (sized or divided):
-        given = sensible_grids(task) | given
-        sized = "sizes" in given
-    levels, constructor = given.pop("levels", None), am.Hierarchy.graded if sized else am.Hierarchy.uniform
-    what = "hierarchy.sizes" if sized else "uniform grids (without hierarchy.sizes)"
+    blocks = all(isinstance(part, am.Rectangle | am.Box) for part in getattr(task.domain, "parts",
+                                                                             {"": task.domain}).values())
+    if blocks and not (sized or divided):
+        given = {"divisions": _DIVISIONS[task.dim]} | given
+    levels, uniform = given.pop("levels", None), divided or (blocks and not sized)
+    constructor = am.Hierarchy.uniform if uniform else am.Hierarchy.graded
+    what = "uniform grids (without hierarchy.sizes)" if uniform else "hierarchy.sizes"
     arguments = arguments_of(constructor, given, "hierarchy.", what)
     _check_used(given, "hierarchy.", what, keys_of(constructor))
-    count = len(np.atleast_1d(np.asarray(arguments["sizes" if sized else "divisions"], dtype=object)))
-    if levels is not None and (checks.integer("hierarchy.levels", levels, 1, 30), count)[1] != 1:
-        raise ValueError("hierarchy.levels bisect one grid: give hierarchy.divisions = [8] or hierarchy.sizes = "
-                         f"[5e-3], got {count} grids")
-    if levels is not None and "transfer" in arguments:
+    if levels is None:
+        return constructor(task, **arguments)
+    checks.integer("hierarchy.levels", levels, 1, 30)
+    if "transfer" in arguments:
         raise ValueError("hierarchy.transfer belongs to meshes that are not nested; those of hierarchy.levels are")
-    return constructor, arguments, levels
+    first = constructor(task, **arguments)
+    if len(first) != 1:
+        raise ValueError("hierarchy.levels bisect one grid: give hierarchy.divisions = [8] or hierarchy.sizes = "
+                         f"[5e-3], got {len(first)} grids")
+    return am.Hierarchy.bisected(task, first.levels[0].mesh, levels)
 
 
-def parts(task: am.ContactProblem) -> dict[str, Domain]:
-    """Return the domains of the bodies by name."""
-    return getattr(task.domain, "parts", {"": task.domain})
+@dataclass(frozen=True)
+class Solved:
+    """What the settings of a run give."""
+
+    result: Result  # of the last step
+    grids: am.Hierarchy  # of the last step
+    steps: list[am.Step]  # of an adaptive loop
 
 
-def are_blocks(task: am.ContactProblem) -> bool:
-    """Whether structured grids can be made."""
-    return all(isinstance(part, am.Rectangle | am.Box) for part in parts(task).values())
+def solved(settings: Settings, callback: Callable[[dict[str, float]], None] | None = None,
+           each: Callable[[am.Step], None] | None = None, store: str | os.PathLike[str] | None = None) -> Solved:
+    """Solve once, along a load path, or on meshes that follow the error. ``callback`` is given the progress, ``each``
+    of every step of an adaptive loop, which ``store`` keeps."""
+    problem, path = problem_of(section(settings, "case")), load_path(settings)
+    if section(settings, "adapt"):
+        steps = []
+        for step in am.adapt(problem, **adaptation(settings), progress=callback, store=store):
+            steps.append(step)
+            if each is not None:
+                each(step)
+        return Solved(steps[-1].result, steps[-1].hierarchy, steps)
+    # the method first: what is refused is refused before anything is meshed
+    solver, levels = solver_of(section(settings, "solver")), grids(problem, section(settings, "hierarchy"))
+    result = (am.solve(levels, solver, throw=False, callback=callback) if path is None else
+              am.solve_path(levels, path, solver, throw=False)[-1])
+    return Solved(result, levels, [])
 
 
 def case_facts(name: str) -> dict[str, object]:

@@ -111,12 +111,11 @@ def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
     add("--rerun", action="store_true", help="run everything again")
     add("-q", "--quiet", action="store_true", help="no progress and no table: errors alone")
     _add_json(add)
-    add = made(_runs, "show the runs in a store", "results/bar.sqlite --where case.friction=0.2 --where \"cycles>20\" "
+    add = made(_runs, "show the runs in a store", "results/bar.sqlite --where \"friction == 0.2 and cycles > 20\" "
                "--to friction.csv", "Without --study those of its one study, or the list of its studies.")
     _add_store(add)
-    add("--status", choices=("done", "failed"), help="only runs that are 'done' or 'failed'")
-    add("--where", metavar="CONDITION", action="append", default=[],
-        help="only runs with NAME=VALUE, or with !=, <, <=, >, >= and a number; several times: all of them")
+    add("--where", metavar="CONDITION", default="",
+        help="only runs for which it holds, as in DataFrame.query of pandas; names with a point stand in backticks")
     add("--details", action="store_true", help="also tries, memory, machine, commit ...")
     add("--limit", metavar="ROWS", type=int, default=50, help="rows that are printed at most; JSON and files have all")
     add("--to", metavar="FILE", type=Path, help="write all of them as .csv")
@@ -149,7 +148,6 @@ def _add_settings(parser: _Parser, command: str) -> None:
 
 def _settings(given: Namespace) -> dict[str, object]:
     from adaptmg.cli import build
-    from adaptmg.cli.case_run import check
 
     texts = {name: text for name, text in vars(given).items() if "." in name}
     for text in given.set:
@@ -157,9 +155,7 @@ def _settings(given: Namespace) -> dict[str, object]:
         if not equals or not value:
             raise ValueError(f"--set must be NAME=VALUE, got {printable(ascii(text))}")
         texts[name if name.partition(".")[0] in build.PURPOSE else f"case.{name}"] = value
-    settings = build.from_texts(given.case, texts, adaptive=given.run is _adapt)
-    check(settings)
-    return settings
+    return build.from_texts(given.case, texts, adaptive=given.run is _adapt)
 
 
 def _print_json(value: object) -> None:
@@ -181,11 +177,11 @@ def _cases(given: Namespace) -> None:
 
 
 def _solve(given: Namespace) -> int:
-    from adaptmg.cli import case_run, output
+    from adaptmg.cli import build, output
 
     settings, folder = _settings(given), output.folder(given.out)
     with output.watched() as callback:
-        solved = case_run.solved(settings, callback)
+        solved = build.solved(settings, callback)
     files = output.write(folder, solved)
     result = solved.result
     if given.json:
@@ -198,14 +194,14 @@ def _solve(given: Namespace) -> int:
 
 
 def _adapt(given: Namespace) -> None:
-    from adaptmg.cli import case_run, output
+    from adaptmg.cli import build, output
 
     settings, folder = _settings(given), output.folder(given.out)
     waiting: list[str] = []
     with output.watched_loop() as progress:
         # lines would run into the bar: they wait until it ends
         say = waiting.append if given.json or progress is not None else _say
-        solved = case_run.solved(settings, progress, each=lambda step: say(repr(step)), store=given.store)
+        solved = build.solved(settings, progress, each=lambda step: say(repr(step)), store=given.store)
     files = output.write(folder, solved)
     if given.json:
         _print_json(output.loop_summary(solved.steps, files))
@@ -215,13 +211,12 @@ def _adapt(given: Namespace) -> None:
 
 
 def _study(given: Namespace) -> int:
-    from adaptmg.cli import study_script
+    from adaptmg.cli import studies
     from adaptmg.cli.output import logged, printed
-    from adaptmg.cli.runs import units
 
-    made = study_script.study_of(given.file, given.store)
+    made = studies.study_of(given.file, given.store)
     if given.dry_run:
-        _print_json(study_script.summary(made, False)) if given.json else _say(study_script.plan(made))
+        _print_json(studies.summary(made, False)) if given.json else _say(studies.plan(made))
         return 0
     options = {name: getattr(given, name) for name in ("workers", "scheduler", "limit_s", "memory_limit", "rerun",
                                                        "retry_failed")}
@@ -230,9 +225,9 @@ def _study(given: Namespace) -> int:
     with logged("adaptmg.study", level, logging.StreamHandler()):
         table = made.run(progress=False if given.quiet else None, **options)
     if given.json:
-        _print_json(study_script.summary(made, True))
+        _print_json(studies.summary(made, True))
     elif not given.quiet:
-        text = printed(table.drop(columns="error"), made.parameters, units=units(list(table)))
+        text = printed(table.drop(columns="error"), made.parameters, units=studies.units(list(table)))
         _say(f"{text}\n\n{made.status()!r}")
     failed = int((table["status"] == "failed").sum())
     missed = int((table["outcome"].dropna() != "CONVERGED").sum()) if "outcome" in table else 0
@@ -245,24 +240,23 @@ def _study(given: Namespace) -> int:
 
 def _runs(given: Namespace) -> None:
     from adaptmg import _checks as checks
-    from adaptmg.cli import runs
+    from adaptmg.cli import studies
     from adaptmg.cli.output import lines, printed, rows
 
     limit = checks.integer("--limit", given.limit, 1)
-    conditions = [runs.parsed(text) for text in given.where]
     if given.to is not None:
-        runs.ending(given.to)
-    found = runs.opened(given.store)
+        studies.ending(given.to)
+    found = studies.opened(given.store)
     names = found.studies()
-    if given.study is None and len(names) != 1 and not (given.to or conditions or given.status):
+    if given.study is None and len(names) != 1 and not (given.to or given.where):
         table = {name: [row[k] for row in found.summaries()]
                  for k, name in enumerate(("study", "done", "failed", "seconds", "last"))}
         _say(lines(rows(table)) if given.json else printed(table, ["study"], units={"seconds": "s"}))
         return
-    records = found.runs(runs.chosen(found, given.study))
-    table = runs.selected(records, status=given.status, where=conditions, details=given.details)
+    records = found.runs(studies.chosen(found, given.study))
+    table = studies.selected(records, given.where, given.details)
     if given.to is not None:
-        runs.write(table, given.to)
+        studies.write(table, given.to)
         _say(f"wrote {given.to}", err=True)
     if given.json:
         _say(lines(rows(table)))
@@ -270,14 +264,14 @@ def _runs(given: Namespace) -> None:
         total = len(table)
         counted = "1 run" if total == 1 else f"{total} runs"
         note = f"... {total - limit} more: --limit, or --to FILE.csv for all" if total > limit else counted
-        _say(printed(runs.short(table.head(limit)), list(records[0].parameters), units=runs.units(list(table)),
+        _say(printed(studies.short(table.head(limit)), list(records[0].parameters), units=studies.units(list(table)),
                      note=note))
 
 
 def _report(given: Namespace) -> None:
-    from adaptmg.cli import runs
+    from adaptmg.cli import studies
 
-    page, csv = runs.report(given.store, given.study, given.result, given.to)
+    page, csv = studies.report(given.store, given.study, given.result, given.to)
     _say(f"wrote {page} and {csv}", err=True)
 
 

@@ -24,7 +24,7 @@ from adaptmg.study.tables import as_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from adaptmg.cli.case_run import Solved
+    from adaptmg.cli.build import Solved
 
 
 def finite(value: object) -> object:

@@ -127,8 +127,8 @@ def test_the_log_goes_to_standard_error_and_is_put_back_and_a_terminal_gets_a_ba
 def test_ctrl_c_ends_with_130_and_one_line():
     # in a shell's background the signal comes ignored
     code = ("import os, signal, time\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
-            "from adaptmg.cli import case_run, main\n"
-            "case_run.solved = lambda *arguments: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\nmain()")
+            "from adaptmg.cli import build, main\n"
+            "build.solved = lambda *arguments: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\nmain()")
     done = subprocess.run([sys.executable, "-c", code, "solve", "greco_bar", "--divisions", "2,4"], capture_output=True,
                           text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "adaptmg: interrupted\n")

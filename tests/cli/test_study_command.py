@@ -157,7 +157,8 @@ def test_runs_are_listed_filtered_and_written(command):
     Study(run, {"n": [1, 2, 3], "law": ["a", "b"]}, "s.sqlite", name="first", fixed={}).run(progress=False)
     code, out, _ = command("runs", "s.sqlite", "--limit", "2")
     assert code == 0 and "... 4 more" in out
-    rows = json.loads(command("runs", "s.sqlite", "--status", "done", "--where", "law=b", "--details", "--json")[1])
+    where = "status == 'done' and law == 'b'"
+    rows = json.loads(command("runs", "s.sqlite", "--where", where, "--details", "--json")[1])
     assert [(row["n"], row["m"], row["tries"]) for row in rows] == [(1, 0.5, 1), (2, 1.0, 1)]
     assert command("runs", "s.sqlite", "--to", "t.csv")[0] == 0
     assert pd.read_csv("t.csv")["m"].dropna().tolist() == [0.5, 0.5, 1.0, 1.0]

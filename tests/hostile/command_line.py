@@ -9,7 +9,7 @@ from unittest import mock
 
 from hostile_table import Hostile
 
-from adaptmg.cli import case_run, main
+from adaptmg.cli import build, main
 
 
 def command(*arguments: str, code: int = 2) -> None:
@@ -34,7 +34,7 @@ def during(error: BaseException, code: int = 2) -> Callable[[], None]:
         def failing(*arguments: object) -> None:
             raise error
 
-        with mock.patch.object(case_run, "solved", failing):
+        with mock.patch.object(build, "solved", failing):
             command("solve", "greco_bar", "--divisions", "2,4", code=code)
 
     return run

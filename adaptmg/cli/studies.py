@@ -1,23 +1,80 @@
-"""``adaptmg runs`` and the table of ``adaptmg report``: runs of a store, conditions on them, tables as files."""
+"""``adaptmg study``, ``runs`` and ``report``: the study of a Python script, the runs of a store, tables as files."""
 
 from __future__ import annotations
 
+import importlib.util
+import itertools
 import json
-import operator
-import re
+import os
+import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
-from adaptmg.study.record import DETAILS, RESERVED, Record, frame
+from adaptmg.cli.output import printed, rows
+from adaptmg.study.record import Record, frame
 from adaptmg.study.store import Store
 
-Condition = tuple[str, str, str]
+if TYPE_CHECKING:
+    from adaptmg.study import Study
+
+#: points that a plan shows
+_SHOWN = 20
+
+
+def study_of(path: Path, store: Path | None) -> Study:
+    """Import a script, and return the study that it makes, or that of its ``run`` and ``parameters`` (with ``fixed``
+    and ``depends`` where it has them), which is stored in results/SCRIPT.sqlite. What stands below
+    ``if __name__ == "__main__"`` does not run."""
+    import cloudpickle
+
+    from adaptmg.study import Study
+
+    file = checks.file_path("FILE", path)
+    if file.suffix != ".py" or not file.is_file():
+        raise ValueError(f"FILE must be a Python script that makes an am.Study, got {checks.shown(os.fspath(path))}")
+    # as Python does for a script, so that it finds its neighbours; workers get it by value
+    sys.path.insert(0, os.fspath(file.resolve().parent))
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    module = sys.modules[file.stem] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+    cloudpickle.register_pickle_by_value(module)
+    found = list({id(value): value for value in vars(module).values() if isinstance(value, Study)}.values())
+    if len(found) == 1:
+        if store is not None:
+            raise ValueError("--store belongs to scripts with run and parameters: this one makes its am.Study itself")
+        return found[0]
+    run, parameters = getattr(module, "run", None), getattr(module, "parameters", None)
+    if found or run is None or parameters is None:
+        raise ValueError(f"{file} must make one am.Study, or have run and parameters; it makes {len(found)} studies")
+    return Study(run, parameters, Path("results", f"{file.stem}.sqlite") if store is None else store, name=file.stem,
+                 fixed=getattr(module, "fixed", None), depends=getattr(module, "depends", None))
+
+
+def plan(study: Study) -> str:
+    """Return the first points of a study, their status, and the number of points."""
+    points = list(itertools.islice(study.design.points(), _SHOWN))
+    shown = {name: [point[name] for point in points] for name in study.parameters}
+    shown["status"] = list(study.table()["status"].head(_SHOWN))
+    rest = len(study) - _SHOWN
+    return "\n".join([printed(shown, study.parameters, units={}, note=f"... {rest} more" if rest > 0 else ""), "",
+                      repr(study), repr(study.status())])
+
+
+def summary(study: Study, with_rows: bool) -> dict[str, object]:
+    """Return a study as JSON takes it."""
+    status = study.status()
+    head = {"study": study.name, "runs": status.total, "done": status.done, "failed": status.failed,
+            "stale": status.stale, "missing": status.missing, "why_stale": status.reasons, "errors": status.errors}
+    return head | ({"rows": rows(study.table(details=True))} if with_rows else {})
 
 
 def opened(path: Path) -> Store:
@@ -40,13 +97,11 @@ def chosen(store: Store, name: str | None) -> str:
     return names[0] if name is None else name
 
 
-def selected(records: Sequence[Record], *, status: str | None = None, where: Sequence[Condition] = (),
-             details: bool = False) -> pd.DataFrame:
+def selected(records: Sequence[Record], where: str = "", details: bool = False) -> pd.DataFrame:
     """Return runs of a study as a table, without the parameters that are the same in all of its runs."""
     counts = Counter((key, repr(value)) for record in records for key, value in record.parameters.items())
     varying = list(dict.fromkeys(key for (key, _), count in counts.items() if count < len(records)))
-    found = [record for record in records if status in (None, record.status)]
-    found = _matching(found, where) if where else found
+    found = _matching(records, where) if where else records
     names = varying or list(dict.fromkeys(key for key, _ in counts))
     return frame(names, [(record.parameters, record, record.status) for record in found], details)
 
@@ -102,45 +157,17 @@ def short(table: pd.DataFrame) -> pd.DataFrame:
     return shown.map(lambda value: f"{value[:57]}..." if isinstance(value, str) and len(value) > 60 else value)
 
 
-_ORDERED = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
-
-
-def parsed(text: str) -> Condition:
-    """Return column, sign and value of a condition on runs."""
-    found = re.fullmatch(r"([^=<>!]+)(=|!=|<=|>=|<|>)(.*)", text, re.DOTALL)
-    if not found:
-        raise ValueError(f"--where must be NAME=VALUE, or with !=, <, <=, > or >=, got {checks.shown(text)}")
-    name, sign, value = (part.strip() for part in found.groups())
-    if sign in _ORDERED and _number(value) is None:
-        raise ValueError(f"--where {name}{sign} must be followed by a number, got {checks.shown(value)}")
-    return name, sign, value
-
-
-def _number(text: str) -> float | None:
-    with suppress(ValueError):
-        return float(text) if float(text) == float(text) else None
-    return None
-
-
-def _matching(records: Sequence[Record], conditions: Sequence[Condition]) -> list[Record]:
-    """Return the records for which all conditions hold; values that a record lacks are unequal to every other."""
-    values = [{**record.parameters, **record.results, **{name: getattr(record, name) for name in (*RESERVED, *DETAILS)
-                                                         if name not in record.results}} for record in records]
-    names = sorted(dict.fromkeys(name for row in values for name in row), key=lambda name: name in RESERVED + DETAILS)
-    for name, _, _ in conditions:
-        if name not in names:
-            raise ValueError(f"there is no column {name!r}{checks.suggestion(name, names)}; there are "
-                             f"{', '.join(names)}")
-    return [record for record, row in zip(records, values, strict=True)
-            if all(_holds(row, *condition) for condition in conditions)]
-
-
-def _holds(row: Mapping[str, object], name: str, sign: str, text: str) -> bool:
-    value, number = row.get(name), _number(text) if type(row.get(name)) in (int, float) else None
-    if sign in _ORDERED:
-        return number is not None and _ORDERED[sign](value, number)
-    equal = text in (str(value), json.dumps(value)) or (number is not None and value == number)
-    return (name in row and equal) == (sign == "=")
+def _matching(records: Sequence[Record], where: str) -> list[Record]:
+    """Return the records for which a condition of pandas holds."""
+    names = list(dict.fromkeys(key for record in records for key in record.parameters))
+    table = frame(names, [(record.parameters, record, record.status) for record in records], True)
+    try:
+        holds = table.eval(where, engine="python")
+        if not pd.api.types.is_bool_dtype(holds):
+            raise ValueError("it is not true or false for each run")
+    except Exception as error:  # parser and columns have their own
+        raise ValueError(f"--where {checks.shown(where)}: {error}; the columns are {', '.join(table)}") from error
+    return [record for record, kept in zip(records, holds, strict=True) if kept]
 
 
 def ending(path: Path) -> Path:
