@@ -23,7 +23,7 @@ Load steps have nodal loads and prescribed displacements by name, so that every 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -49,7 +49,7 @@ from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem, check_law
 from adaptmg.problem.laws import Law
 from adaptmg.problem.load_path import DEFAULT, name_in_path
-from adaptmg.problem.loads import InitialStrain, Load
+from adaptmg.problem.loads import InitialStrain
 from adaptmg.problem.surfaces import ContactPair
 
 _LOG = logging.getLogger(__name__)
@@ -94,13 +94,13 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
         raise ValueError(f"mesh too coarse: {len(contact)} contact nodes on {', '.join(problem.contact_boundaries)}, "
                          f"at least {mesh.dim + 1} are needed; refine the mesh there")
     materials = body_materials(mesh, problem.material)
-    parts = {"matrix": supported_stiffness(mesh, materials, problem.supports),
-             "load": load_vector(mesh, problem.loads, materials),
+    parts = {"matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
+             "load": load_vector(mesh, problem.loads, materials, problem.elements),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": _nodal_law(problem, mesh, contact),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
-    parts["strain_free"] = _strain_free(mesh, problem.loads, materials)
+    parts["strain_free"] = _strain_free(problem, mesh, materials)
     for array in (parts["load"], fixed, values, *bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
     return DiscreteProblem.assembled(weights, **parts)
@@ -112,16 +112,17 @@ def _nodal_law(problem: ContactProblem, mesh: MeshArrays, contact: ContactNodes)
     return law
 
 
-def _strain_free(mesh: MeshArrays, loads: Sequence[Load], materials: Materials) -> tuple[np.ndarray, float] | None:
-    strains = [load for load in loads if isinstance(load, InitialStrain)]
+def _strain_free(problem: ContactProblem, mesh: MeshArrays, materials: Materials) -> tuple[np.ndarray, float] | None:
+    strains = [load for load in problem.loads if isinstance(load, InitialStrain)]
     if not strains:
         return None
-    return load_vector(mesh, strains, materials), StressData.of(mesh, materials, strains).suppressed(mesh)
+    return (load_vector(mesh, strains, materials, problem.elements),
+            StressData.of(mesh, materials, strains, problem.elements).suppressed(mesh))
 
 
 def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
     """Names of the parts that may have other values than ``before``; functions may return others."""
-    return frozenset(name for name in ("material", "supports", "contact", "loads")
+    return frozenset(name for name in ("material", "supports", "contact", "loads", "elements")
                      if not same(getattr(problem, name), getattr(before, name)))
 
 
@@ -163,8 +164,8 @@ def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if changed:
         materials = body_materials(mesh, problem.material)
-        load, strain_free = load_vector(mesh, problem.loads, materials), _strain_free(mesh, problem.loads, materials)
-        load = old.relative_forces(load)
+        load = old.relative_forces(load_vector(mesh, problem.loads, materials, problem.elements))
+        strain_free = _strain_free(problem, mesh, materials)
         if strain_free is not None:
             strain_free = old.relative_forces(strain_free[0]), strain_free[1]
         parts["strain_free"] = strain_free
@@ -390,18 +391,18 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
     loads, strains, strain_loads = {}, {}, {}
     for name in dict.fromkeys(map(name_in_path, problem.loads)):
         named = [load for load in problem.loads if name_in_path(load) == name]
-        forces = load_vector(mesh, named, problem.material)
+        forces = load_vector(mesh, named, problem.material, problem.elements)
         loads[name] = discrete.relative_forces(forces)
         if (own := [load for load in named if isinstance(load, InitialStrain)]):
             strains[name] = StressData.of(mesh, problem.material, own).initial_strain
-            strain_loads[name] = discrete.relative_forces(load_vector(mesh, own, problem.material))
+            strain_loads[name] = discrete.relative_forces(load_vector(mesh, own, problem.material, problem.elements))
     prescribed = {}
     for name in dict.fromkeys(map(name_in_path, problem.supports)):
         fixed, values = fixed_dofs(mesh, [support for support in problem.supports if name_in_path(support) == name])
         dofs = np.flatnonzero(fixed)
         prescribed[name] = dofs, values[dofs]
-    return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed, StressData.of(mesh, problem.material), strains,
-                     strain_loads, mesh)
+    return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed,
+                     StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh)
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:

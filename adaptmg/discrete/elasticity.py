@@ -90,9 +90,8 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     """
     materials = body_materials(mesh, material)
     dim = mesh.dim
-    indptr, indices, *of_nodes = _pattern(mesh.elements, mesh.n_nodes)
-    if not (indptr[1:] > indptr[:-1]).all():
-        raise ValueError(f"node {np.argmin(indptr[1:] > indptr[:-1])} belongs to no element; remove unused nodes")
+    indptr, indices, *of_nodes = node_pattern(mesh.elements, mesh.n_nodes)
+    check_used(indptr)
     data = np.empty((len(indices), dim, dim))
     arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
     if dim == 3:
@@ -106,20 +105,36 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
         else:
             ranges = scattering(mesh.elements, size=data.size)
             bad = max(in_colours(ranges, add_plane, *arguments, indptr, indices, data))
+    check_shapes(mesh, bad)
+    return block_matrix(data, indices, indptr)
+
+
+def check_used(indptr: np.ndarray) -> None:
+    """ValueError for a node without a row in the pattern."""
+    if not (indptr[1:] > indptr[:-1]).all():
+        raise ValueError(f"node {np.argmin(indptr[1:] > indptr[:-1])} belongs to no element; remove unused nodes")
+
+
+def check_shapes(mesh: MeshArrays, bad: int) -> None:
+    """ValueError for the element that a kernel returned, unless that is -1."""
     if bad >= 0:
         raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
                          "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
+
+
+def block_matrix(data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> sparse.bsr_array:
+    """The matrix of blocks (n, dim, dim) with sorted columns, whose pattern is not written again."""
     if len(indices) < 2**31:
         indptr = indptr.astype(np.int32)
     for array in (indices, indptr):
         array.flags.writeable = False
-    n_dofs = dim * mesh.n_nodes
+    n_dofs = data.shape[1] * (len(indptr) - 1)
     matrix = sparse.bsr_array((data, indices, indptr), shape=(n_dofs, n_dofs), copy=False)
     matrix.has_sorted_indices = True
     return matrix
 
 
-def _pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def node_pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Row pointers and sorted columns of the nodal matrix; pointers to the elements of each node, and these."""
     start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
     list_elements(elements, start, listed)
@@ -297,8 +312,8 @@ def mirror(first, last, indptr, indices, data):
         at = indptr[i]
         while indices[at] < i:  # the row holds its diagonal
             block = data[_position(indptr, indices, indices[at], i)]
-            for k in range(3):
-                for m in range(3):
+            for k in range(data.shape[1]):
+                for m in range(data.shape[1]):
                     data[at, k, m] = block[m, k]
             at += 1
 

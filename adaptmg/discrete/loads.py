@@ -7,6 +7,7 @@ by quadrature of degree 2 on each element and facet, in axisymmetry, where all i
 degree 5: exact for data that are linear in position. Initial (stress-free) strains have principal components along the
 axes; the third one in two dimensions is through the thickness or, in axisymmetry, the hoop strain. It matters in plane
 strain, where the total strain through the thickness is zero, and in axisymmetry; in plane stress the sheet follows it.
+Smoothed elements (:mod:`adaptmg.discrete.smoothed`) take the means of initial strains around edges, as of all strains.
 
 Springs between boundaries or nodes and the ground add to the stiffness matrix, and exert forces:
 
@@ -25,6 +26,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants, stiffness
+from adaptmg.discrete.smoothed import element_measures, smoothed, smoothed_stiffness
 from adaptmg.discrete.supports import node_at
 from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays
@@ -32,13 +34,14 @@ from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Po
 from adaptmg.problem.materials import Elastic, PlaneStress
 
 
-def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | None = None) -> np.ndarray:
+def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | None = None,
+                elements: str = "linear") -> np.ndarray:
     """Nodal forces (n_dofs,) of all loads; dual, dof = dim * node + component.
 
     N (plane: per metre of thickness; axisymmetric: of the full circumference). Functions of position are called once
     each, with all quadrature points (n, dim). Axisymmetric materials weight all with 2 pi r; initial strains need the
-    elastic constants. ValueError for a boundary or body the mesh does not have, components of the wrong number, data
-    that are not finite, or an initial strain without ``material``.
+    elastic constants, and depend on the ``elements``. ValueError for a boundary or body the mesh does not have,
+    components of the wrong number, data that are not finite, or an initial strain without ``material``.
     """
     materials = None if material is None else body_materials(mesh, material)
     axisymmetric = materials is not None and is_axisymmetric(materials)
@@ -48,7 +51,7 @@ def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | N
         if isinstance(load, InitialStrain):
             if materials is None:
                 raise ValueError(f"the load of {load!r} depends on the elastic constants: give material")
-            result += initial_strain_load(mesh, load, materials)
+            result += initial_strain_load(mesh, load, materials, elements)
         elif isinstance(load, BodyForce):
             here = slice(None) if load.body is None else body_elements(mesh, load.body)
             _add(result, mesh, mesh.elements[here], mesh.volumes[here], load, axisymmetric)
@@ -99,16 +102,22 @@ def mean_initial_strain(mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric
     return result
 
 
-def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[Elastic, ...]) -> np.ndarray:
+def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[Elastic, ...], elements: str
+                        ) -> np.ndarray:
     """Nodal forces (n_nodes, dim) of an initial strain."""
     axisymmetric = is_axisymmetric(materials)
-    elements, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
+    here, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
+    if elements == "smoothed":
+        volumes = element_measures(mesh, axisymmetric)
+        mean = mean_initial_strain(mesh, [load], axisymmetric=axisymmetric)
+        strain, weights = smoothed(mesh, mean, volumes)[here, None], volumes[here, None]
+        rule = np.full((1, mesh.dim + 1), 1 / (mesh.dim + 1))
     k = mesh.bodies.index(load.body)
     if isinstance(materials[k], PlaneStress):
         strain[:, :, 2] = 0.0
     lame, shear = (constants[k] for constants in lame_constants(materials))
     stress = lame * strain.sum(axis=2)[:, :, None] + 2 * shear * strain
-    cells, dim = mesh.elements[elements], mesh.dim
+    cells, dim = mesh.elements[here], mesh.dim
     corners = mesh.points[cells]
     gradients = np.linalg.inv(corners[:, 1:] - corners[:, :1])
     gradients = np.concatenate([-gradients.sum(axis=2, keepdims=True), gradients], axis=2)
@@ -165,9 +174,10 @@ def _elements(mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
     return surface.facets, np.einsum("qab,fqij->fabij", rule[:, :, None] * rule[:, None, :], per_area)
 
 
-def supported_stiffness(mesh: MeshArrays, material: Materials, supports: Sequence[AnySupport]) -> sparse.bsr_array:
+def supported_stiffness(mesh: MeshArrays, material: Materials, supports: Sequence[AnySupport],
+                        elements: str = "linear") -> sparse.bsr_array:
     """The stiffness of the bodies and of the springs that hold them, as :func:`adaptmg.discrete.stiffness`."""
-    matrix = stiffness(mesh, material)
+    matrix = smoothed_stiffness(mesh, material) if elements == "smoothed" else stiffness(mesh, material)
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:
         rows = np.repeat(np.arange(mesh.n_nodes), np.diff(matrix.indptr))

@@ -7,6 +7,9 @@ with the initial strain :math:`\varepsilon_0`, if any, and the Lame constants as
 constant on an element, but for the hoop strain :math:`u_r / r` of axisymmetric bodies, whose mean over the volume is
 taken: its value at the centroid, :math:`\int u_r \big/ \int r`. The strain energy is
 :math:`\tfrac12 \int \sigma : (\varepsilon - \varepsilon_0)`, by the quadrature of the stiffness matrix.
+
+Smoothed elements take the trace from the edges, as their matrix does (S of :mod:`adaptmg.discrete.smoothed`):
+:math:`\sigma = \lambda\, S\,\mathrm{tr}(\varepsilon - \varepsilon_0) I + 2\mu (\varepsilon - \varepsilon_0)`.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ import numpy as np
 from adaptmg._numba import kernel
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.loads import mean_initial_strain
+from adaptmg.discrete.smoothed import edge_lame, element_measures, smoothed
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import InitialStrain, Load
@@ -90,9 +94,11 @@ class StressData:
     shear: np.ndarray  # (n_bodies,), Pa
     kind: np.ndarray  # (n_bodies,) int8: 0 for plane strain and solids, 1 for plane stress, 2 for axisymmetric bodies
     initial_strain: np.ndarray  # (n_elements, 3), or (0, 3) for none
+    smoothed: bool = False  # whether the elements are
 
     @classmethod
-    def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = ()) -> StressData:
+    def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = (), elements: str = "linear"
+           ) -> StressData:
         """From materials (one, or body name -> Elastic) and the initial strains among loads."""
         materials = body_materials(mesh, material)
         kind = [_THIN if isinstance(one, PlaneStress) else _AXISYMMETRIC if is_axisymmetric(one) else _PLAIN
@@ -100,7 +106,7 @@ class StressData:
         strains = [load for load in loads if isinstance(load, InitialStrain)]
         initial = mean_initial_strain(mesh, strains, axisymmetric=is_axisymmetric(materials)) if strains else None
         return cls(*lame_constants(materials), np.array(kind, dtype=np.int8),
-                   np.zeros((0, 3)) if initial is None else initial)
+                   np.zeros((0, 3)) if initial is None else initial, elements == "smoothed")
 
     @property
     def axisymmetric(self) -> bool:
@@ -123,19 +129,25 @@ class StressData:
     def suppressed(self, mesh: MeshArrays) -> float:
         """Energy of the stresses that suppress the initial strains, N m; of plane bodies that of those in the plane."""
         body, dim = mesh.element_body, 3 if self.axisymmetric else mesh.dim
-        lame, shear, volume = self.lame[body, None], self.shear[body, None], mesh.volumes
-        if self.axisymmetric:
-            volume = 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * volume
+        lame, shear, volume = self.lame[body, None], self.shear[body, None], element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
         strain[(self.kind == _THIN)[body], 2] = 0.0
         stress = (lame * strain.sum(axis=1, keepdims=True) + 2 * shear * strain)[:, :dim]
         # what strains in the plane alone are under this stress
         elastic = (stress - lame / (dim * lame + 2 * shear) * stress.sum(axis=1, keepdims=True)) / (2 * shear)
+        if self.smoothed:
+            stress = smoothed(mesh, stress, volume)
         return float(np.einsum("n,nd,nd->", volume, stress, elastic))
 
     def energy(self, mesh: MeshArrays, displacement: np.ndarray) -> float:
         """Strain energy, J (plane: J/m)."""
         elastic, u = self._elastic(mesh, displacement), _nodal(mesh, displacement)
+        if self.smoothed:
+            volume = element_measures(mesh, self.axisymmetric)
+            means = smoothed(mesh, elastic.reshape(-1, 9), volume).reshape(elastic.shape)
+            lame, shear = edge_lame(self.lame, self.shear)[mesh.element_body], self.shear[mesh.element_body]
+            trace = np.trace(elastic, axis1=1, axis2=2) * np.trace(means, axis1=1, axis2=2)
+            return 0.5 * float(volume @ (lame * trace + 2 * shear * np.einsum("nij,nij->n", means, elastic)))
         if not self.axisymmetric:
             return 0.5 * float(np.einsum("n,nij,nij", mesh.volumes, self._stress(mesh, elastic), elastic))
         total, (rule, weights) = 0.0, quadrature_rule(3, AXISYMMETRIC_DEGREE)
@@ -165,7 +177,10 @@ class StressData:
     def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
         body, diagonal = mesh.element_body, np.arange(3)
         stress = 2 * self.shear[body][:, None, None] * strain
-        stress[:, diagonal, diagonal] += (self.lame[body] * np.trace(strain, axis1=1, axis2=2))[:, None]
+        trace = np.trace(strain, axis1=1, axis2=2)
+        if self.smoothed:
+            trace = smoothed(mesh, trace[:, None], element_measures(mesh, self.axisymmetric))[:, 0]
+        stress[:, diagonal, diagonal] += (self.lame[body] * trace)[:, None]
         stress[(self.kind == _THIN)[body], 2, 2] = 0.0
         return stress
 

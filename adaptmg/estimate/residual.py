@@ -212,7 +212,7 @@ def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -
     """Squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus."""
     mesh, squares = stress.mesh, np.zeros(len(across))
     _jumps(mesh.points, mesh.elements, across, OPPOSITE[mesh.dim], stress.columns, stress.values, 0.5 / young,
-           np.ascontiguousarray(stress.displacement[:, 0]), stress.hoop, stress.lame, squares)
+           np.ascontiguousarray(stress.displacement[:, 0]), stress.hoop, stress.varying, squares)
     return squares
 
 
@@ -235,7 +235,7 @@ def _divergence(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
     sigma_zz + sigma_rz / r), where sigma_rr and sigma_zz vary by lame times the hoop strain u_r / r."""
     mesh = stress.mesh
     slope = displacement_gradient(mesh, stress.displacement)[:, 0, :, None]
-    r, values, lame = mesh.points[mesh.elements, 0] @ rule.T, stress.values, stress.lame[:, None]
+    r, values, lame = mesh.points[mesh.elements, 0] @ rule.T, stress.values, stress.varying[:, None]
     rise = stress.rise(slice(None), mesh.elements, rule)
     along_r = (lame * (slope[:, 0] - stress.hoop[:, None]) + (values[:, 0] - values[:, 2])[:, None]
                - (lame + 2 * stress.shear[:, None]) * rise)

@@ -1,7 +1,7 @@
 r"""A discrete solution as estimates see it: its stress on each element, and who its neighbours are.
 
 The stress (:mod:`adaptmg.discrete.stress`) is constant on each element but for what the hoop strain
-:math:`\varepsilon_\theta = u_r / r` of axisymmetric bodies adds to that at the centroid.
+:math:`\varepsilon_\theta = u_r / r` of axisymmetric bodies adds to that at the centroid; of smoothed elements constant.
 
 Tractions on a boundary are of the stress inside, :math:`\sigma_h n`, constant on each facet, from the element behind
 it; and of contact, :math:`t_h`, linear in between the nodes,
@@ -67,6 +67,11 @@ class ElementStress:
         return self.data.lame[self.mesh.element_body]
 
     @cached_property
+    def varying(self) -> np.ndarray:
+        """Lame's first constant (n_elements,) as it acts on what hoop strains vary by within an element, Pa."""
+        return np.zeros(len(self.mesh.elements)) if self.data.smoothed else self.lame
+
+    @cached_property
     def shear(self) -> np.ndarray:
         """Shear modulus (n_elements,), Pa."""
         return self.data.shear[self.mesh.element_body]
@@ -95,7 +100,10 @@ class ElementStress:
         return rule, result * (2 * np.pi * (self.mesh.points[cells, 0] @ rule.T)) if self.axisymmetric else result
 
     def rise(self, elements: np.ndarray | slice, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
-        """Hoop strain (n, n_points) at points of cells (n, k) less that at the centroids of their elements."""
+        """Hoop strain (n, n_points) at points of cells (n, k) less that at the centroids of their elements; 0 where
+        elements are smoothed."""
+        if self.data.smoothed:
+            return np.zeros((len(cells), len(rule)))
         radius, moved = self.mesh.points[cells, 0] @ rule.T, self.displacement[cells, 0] @ rule.T
         return np.divide(moved, radius, out=np.zeros_like(radius), where=radius > 0) - self.hoop[elements, None]
 
@@ -153,7 +161,7 @@ class Posed:
         """Stress on each element."""
         data = self.result.stress_data
         if data is None:
-            data = StressData.of(self.mesh, self.problem.material, self.problem.loads)
+            data = StressData.of(self.mesh, self.problem.material, self.problem.loads, self.problem.elements)
         return element_stress(self.mesh, self.result.displacement, data)
 
     @cached_property
@@ -189,7 +197,8 @@ class Posed:
         allowed = max(_LOADS_AGREE * max(euclidean_norm(forces), euclidean_norm(load)), rounding)
         if euclidean_norm(load - self.discrete.load) <= allowed:
             return
-        posed = self.discrete.relative_forces(load_vector(self.mesh, self.problem.loads, self.problem.material))
+        posed = self.discrete.relative_forces(load_vector(self.mesh, self.problem.loads, self.problem.material,
+                                                          self.problem.elements))
         if not euclidean_norm(load - posed) <= allowed:
             raise ValueError("result has other loads than those of hierarchy.problem: for step k of a load path give "
                              "dataclasses.replace(hierarchy, problem=adaptmg.problem.step_problem(problem, factors))")

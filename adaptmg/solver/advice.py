@@ -71,7 +71,7 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
         return
     materials = body_materials(mesh, problem.material)
     for name, one in zip(mesh.bodies, materials, strict=True):
-        if one.poisson > LOCKING and not isinstance(one, PlaneStress):
+        if problem.elements == "linear" and one.poisson > LOCKING and not isinstance(one, PlaneStress):
             advise("poisson", f"material of body {name!r}: poisson is {one.poisson:g}, and above {LOCKING:g} linear "
                    "elements lock: they are too stiff, and stresses oscillate. A rubber roller on 3500 nodes has "
                    f"{_LOCKED}. Take forces and pressures from two meshes, and believe what they agree in")
@@ -124,7 +124,8 @@ def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result
         volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
     bodies = np.bincount(mesh.element_body, volume, len(mesh.bodies))
     # the energy u'Au is at least that of these strains in that volume: rarely do they have to be computed
-    stressed = result.checked is not None and not any(isinstance(load, InitialStrain) for load in problem.loads)
+    stressed = (result.checked is not None and problem.elements == "linear"
+                and not any(isinstance(load, InitialStrain) for load in problem.loads))
     if stressed and result.checked.energy_norm**2 < STRAIN**2 * SHARE * (stiffness * bodies).min():
         return
     size = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))

@@ -112,7 +112,8 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     outcome = handed_over(checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run)
     with run.phase("result"):
         posed, mesh = grids.problem, grids.finest.mesh_or_none
-        stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads)
+        stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads,
+                                                                               posed.elements)
         result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
         advise_on_result(posed, result)
     _LOG.info("%s, %d nodes: %s after %d cycles, %.1f work units and %.3g s (%s)", result.problem_name,

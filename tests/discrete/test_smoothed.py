@@ -1,0 +1,157 @@
+"""Edge-smoothed elements: their form, summed edge by edge, and what loads, energies and stresses follow from it."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from bisected_meshes import shaken
+from refused import refused
+from uncompiled import uncompile
+
+import adaptmg as am
+from adaptmg._threads import set_threads
+from adaptmg.discrete import elasticity, load_vector, smoothed, stiffness
+from adaptmg.discrete.elasticity import body_materials
+from adaptmg.discrete.smoothed import smoothed_stiffness
+from adaptmg.discrete.stress import StressData
+from adaptmg.mesh import MeshArrays, structured
+from adaptmg.problem.loads import InitialStrain
+
+KINDS = {"plane strain": am.PlaneStrain, "plane stress": am.PlaneStress, "axisymmetric": am.Axisymmetric,
+         "solid": am.Solid}
+EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+
+
+def glued(dim: int) -> MeshArrays:
+    """Two bodies that share the nodes of the plane x = 1, shaken elsewhere."""
+    mesh = structured(am.Rectangle(width=2.0, height=1.0) if dim == 2 else am.Box(width=2.0, depth=1.0, height=1.0),
+                      (6, 4) if dim == 2 else (4, 2, 2))
+    moved = shaken(mesh, 0.05, 1).points
+    points = np.where(np.isclose(mesh.points[:, :1], 1.0), mesh.points, moved)
+    return replace(mesh, points=points, bodies=("left", "right"), source=None,
+                   element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.0)
+
+
+MESHES = {dim: glued(dim) for dim in (2, 3)}
+
+
+def two(kind) -> dict:
+    return {"left": kind(young=2.1e11, poisson=0.36), "right": kind(young=7e10, poisson=-0.2)}
+
+
+def edges_of(mesh: MeshArrays) -> dict[tuple, list[int]]:
+    """The elements of each edge of each body."""
+    result: dict[tuple, list[int]] = {}
+    for e, corners in enumerate(mesh.elements):
+        for edge in combinations(sorted(corners), 2):
+            result.setdefault((mesh.element_body[e], *edge), []).append(e)
+    return result
+
+
+def by_edges(mesh: MeshArrays, materials) -> np.ndarray:
+    """K' dense, from the strains (3, 3, n_dofs) of elements."""
+    dim, around = mesh.dim, isinstance(next(iter(materials.values())), am.Axisymmetric)
+    k, n = mesh.dim + 1, mesh.points.size
+    strains, volumes = [], mesh.volumes.copy()
+    for e, corners in enumerate(mesh.elements):
+        slopes = np.linalg.inv(np.column_stack([np.ones(k), mesh.points[corners]]))[1:]
+        strain = np.zeros((3, 3, n))
+        for a, v in enumerate(corners):
+            for i in range(dim):
+                strain[i, :dim, dim * v + i] += slopes[:, a]
+        if around:
+            radius = mesh.points[corners, 0].mean()
+            strain[2, 2, 2 * corners] += 1 / (3 * radius)
+            volumes[e] *= 2 * np.pi * radius
+        strains.append((strain + strain.transpose(1, 0, 2)) / 2)
+    result = np.zeros((n, n))
+    for (body, *_), there in edges_of(mesh).items():
+        material = body_materials(mesh, materials)[body]
+        mean = sum(volumes[e] * strains[e] for e in there) / volumes[there].sum()
+        trace, share = np.einsum("iin->n", mean), volumes[there].sum() / (3 if dim == 2 else 6)
+        result += share * (2 * material.shear_modulus * np.einsum("ijn,ijm->nm", mean, mean)
+                           + material.lame * np.outer(trace, trace))
+    return result
+
+
+@EACH_KIND
+def test_the_matrix_is_the_sum_over_edges_of_each_body_in_sorted_symmetric_blocks(kind):
+    mesh, materials = MESHES[kind.dim], two(kind)
+    matrix = smoothed_stiffness(mesh, materials)
+    expected = by_edges(mesh, materials)
+    np.testing.assert_allclose(matrix.toarray(), expected, rtol=0, atol=1e-14 * np.abs(expected).max())
+    assert matrix.has_sorted_indices and matrix.indices.dtype == np.int32
+    assert abs(matrix - matrix.T).max() == 0.0
+
+
+@EACH_KIND
+def test_the_kernels_compute_the_same_uncompiled_and_in_parts(kind, monkeypatch):
+    mesh, materials = MESHES[kind.dim], two(kind)
+    compiled = smoothed_stiffness(mesh, materials)
+    monkeypatch.setattr("adaptmg._threads.LARGE", 1)
+    set_threads(2)
+    try:
+        parts = smoothed_stiffness(mesh, materials)
+    finally:
+        set_threads(1)
+    np.testing.assert_array_equal(parts.data, compiled.data)
+    uncompile(monkeypatch, smoothed, elasticity)
+    np.testing.assert_allclose(smoothed_stiffness(mesh, materials).data, compiled.data, rtol=1e-13, atol=1e-3)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_strains_that_jump_between_glued_materials_are_exact(dim):
+    mesh, materials = MESHES[dim], two(am.PlaneStrain if dim == 2 else am.Solid)
+    left, right = (one.lame + 2 * one.shear_modulus for one in materials.values())
+    x, exact = mesh.points[:, 0], np.zeros(mesh.points.shape)
+    exact[:, 0] = np.where(x < 1.0, x / left, 1.0 / left + (x - 1.0) / right)
+    held = np.isin(np.arange(mesh.n_nodes), mesh.facets).repeat(dim)
+    matrix, u = smoothed_stiffness(mesh, materials).toarray(), exact.reshape(-1) * held
+    u[~held] = np.linalg.solve(matrix[np.ix_(~held, ~held)], -(matrix @ u)[~held])
+    np.testing.assert_allclose(u.reshape(exact.shape), exact, rtol=0, atol=1e-13 * exact.max())
+
+
+@EACH_KIND
+def test_energy_matrix_and_loads_of_initial_strains_belong_together(kind):
+    """u'K'u / 2 - b'u is the energy of elastic strains less that of u = 0, for initial strains that vary."""
+    mesh, materials, rng = MESHES[kind.dim], two(kind), np.random.default_rng(3)
+    strains = [InitialStrain(body, (lambda x: 1e-3 * np.sin(3 * x[:, 0]), 2e-3, lambda x: 1e-3 * x[:, 1]))
+               for body in mesh.bodies]
+    u, still = 1e-3 * rng.normal(size=mesh.points.size), np.zeros(mesh.points.size)
+    matrix, load = smoothed_stiffness(mesh, materials), load_vector(mesh, strains, materials, "smoothed")
+    data = StressData.of(mesh, materials, strains, "smoothed")
+    assert data.energy(mesh, u) - data.energy(mesh, still) == pytest.approx(u @ (matrix @ u) / 2 - load @ u, rel=1e-11)
+    if kind is not am.PlaneStrain:
+        assert data.suppressed(mesh) == pytest.approx(2 * data.energy(mesh, still), rel=1e-12)
+    else:  # free in the plane, it strains still
+        assert 0 < data.suppressed(mesh) <= 2 * data.energy(mesh, still)
+
+
+@pytest.mark.parametrize("kind", [am.PlaneStrain, am.Solid])
+def test_the_stress_takes_its_trace_from_the_means_of_edges(kind):
+    mesh, materials = MESHES[kind.dim], two(kind)
+    u = np.random.default_rng(5).normal(size=mesh.points.shape)
+    linear, ours = (StressData.of(mesh, materials, elements=elements) for elements in ("linear", "smoothed"))
+    traces, means = np.trace(linear.strains(mesh, u), axis1=1, axis2=2), np.zeros(len(mesh.elements))
+    for there in edges_of(mesh).values():
+        means[there] += np.average(traces[there], weights=mesh.volumes[there]) / (3 if mesh.dim == 2 else 6)
+    change = (linear.lame[mesh.element_body] * (means - traces))[:, None, None] * np.eye(3)
+    np.testing.assert_allclose(ours.tensors(mesh, u), linear.tensors(mesh, u) + change, rtol=0, atol=1e-3)
+
+
+def test_a_problem_has_its_elements_on_all_levels_and_in_all_that_follows_from_it():
+    problem = replace(am.cases.greco_bar(), elements="smoothed")
+    grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
+    for level in grids.levels:
+        np.testing.assert_array_equal(level.matrix.data, smoothed_stiffness(level.mesh, problem.material).data)
+    result = am.solve(grids)
+    assert result.energy == pytest.approx(result.checked.energy_norm**2 / 2, rel=1e-6)
+    linear = grids.with_problem(replace(problem, elements="linear"))
+    np.testing.assert_array_equal(linear.finest.matrix.data, stiffness(linear.finest.mesh, problem.material).data)
+
+
+test_refusals = refused(
+    (lambda: replace(am.cases.greco_bar(), elements="quadratic"), r"elements must be one of 'linear', 'smoothed'"),
+    (lambda: replace(am.cases.greco_bar(poisson=0.45), elements="smoothed"),
+     r"poisson must be at most 0\.4 with smoothed elements, got 0\.45"))
