@@ -134,8 +134,12 @@ class Hierarchy:
     @classmethod
     def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]] | None = None,
                contact_ratio: float | Mapping[str, float] | None = None,
-               transfer: Transfer | None = None, contact_rows: bool = True, mesher: str = "own") -> Hierarchy:
-        """Independent (non-nested) meshes, graded towards the contact boundaries.
+               transfer: Transfer | None = None, contact_rows: bool = True, mesher: str = "own",
+               grading: float = 0.3) -> Hierarchy:
+        """Independent (non-nested) meshes, graded towards the contact boundaries, with self-similar size fields.
+
+        The size field of each level is that of the coarsest one times the ratio of their sizes, everywhere: sizes at
+        contact, away from it and between fall alike, and so does the discretisation error.
 
         Parameters
         ----------
@@ -153,10 +157,13 @@ class Hierarchy:
             What makes small elements. "own": in the plane a Delaunay triangulation of this package, in space bisection
             of a coarse mesh (of boxes our own, of other solids Netgen's, one a level) and improvement of shapes.
             "netgen": Netgen alone, which takes ten times as long and also meshes where "own" fails.
+        grading : float
+            Growth of the size per distance from contact on the coarsest level, above 0 and at most 1; on finer ones it
+            is smaller in the ratio of their sizes.
         """
         begin = clock()
         from adaptmg.mesh import graded
-        from adaptmg.mesh.grading import sensible_sizes
+        from adaptmg.mesh.grading import gradings_of, sensible_sizes
 
         domain, ratio = meshed_domain(problem), 1.0
         if sizes is None:
@@ -164,8 +171,10 @@ class Hierarchy:
         contact_ratio = ratio if contact_ratio is None else contact_ratio
         sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
         origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
-        return cls._build(problem, lambda: [graded(domain, size, problem.pair_boundaries, contact_ratio, mesher=mesher)
-                                            for size in sizes], transfer, origin, begin, contact_rows)
+        gradings = gradings_of(sizes, grading)
+        return cls._build(problem, lambda: [
+            graded(domain, size, problem.pair_boundaries, contact_ratio, growth, mesher=mesher)
+            for size, growth in zip(sizes, gradings, strict=True)], transfer, origin, begin, contact_rows)
 
     @classmethod
     def bisected(cls, problem: ContactProblem, coarsest: object, levels: int) -> Hierarchy:

@@ -33,7 +33,8 @@ METHODS = {
 @lru_cache(maxsize=8)
 def chain(finest: int, levels: int) -> am.Hierarchy:
     """``levels`` grids, the finest of which is that of ``SIZES[finest]``."""
-    return am.Hierarchy.graded(am.cases.bolted_junction(), SIZES[finest + 1 - levels:finest + 1], contact_ratio=2)
+    grids = am.Hierarchy.graded(am.cases.bolted_junction(), SIZES[:finest + 1], contact_ratio=2)
+    return grids.truncated(coarsest=finest + 1 - levels)
 
 
 @lru_cache(maxsize=2)

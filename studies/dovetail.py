@@ -17,7 +17,7 @@ from common import Output, compare, main, measured
 import adaptmg as am
 
 #: sizes away from contact, m; at contact four times finer. The third grid has about as many nodes as the paper's first
-SIZES = (8e-3, 4e-3, 2e-3, 1e-3)
+SIZES = (8e-3, 4.8e-3, 2.9e-3, 1.7e-3)
 TARGET = 1e-6
 METHODS = {
     "one grid, omega 1.97": am.SingleGrid(omega=1.97, rtol=TARGET / 2, max_sweeps=20_000),
@@ -34,7 +34,8 @@ HISTORY = am.LoadPath({"tongue.top": [0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25
 @lru_cache(maxsize=8)
 def chain(finest: int, levels: int) -> am.Hierarchy:
     """``levels`` grids of the joint, the finest of which is that of ``SIZES[finest]``."""
-    return am.Hierarchy.graded(am.cases.dovetail(), SIZES[finest + 1 - levels:finest + 1], contact_ratio=4)
+    grids = am.Hierarchy.graded(am.cases.dovetail(), SIZES[:finest + 1], contact_ratio=4)
+    return grids.truncated(coarsest=finest + 1 - levels)
 
 
 @lru_cache(maxsize=2)

@@ -18,9 +18,9 @@ CASES = {"cylinder on block": am.cases.hertz_cylinder, "ball on block": am.cases
 
 def mesh(problem: am.ContactProblem, a: float, fineness: float) -> am.MeshArrays:
     """A mesh with edges of a / fineness where bodies touch, which grow with the distance."""
-    growth, extent = min(2.4 / fineness, 1.0), float(np.max(problem.domain.upper - problem.domain.lower)) / 2
-    near = am.SizeNear([(0.0, 0.0)], size=a / fineness, radius=1.3 * a, grading=growth)
-    return am.mesh.sized(problem.domain, near, 0.65 * growth * extent, grading=growth)
+    extent = float(np.max(problem.domain.upper - problem.domain.lower)) / 2
+    near = am.SizeNear([(0.0, 0.0)], size=a / 2.5, radius=1.3 * a, grading=0.96).scaled(2.5 / fineness)
+    return am.mesh.sized(problem.domain, near, 0.65 * near.grading * extent, grading=near.grading)
 
 
 def run(case: str, fineness: int) -> dict:

@@ -3,7 +3,7 @@
     python studies/transfers.py [--quick | --full] [--out DIR]
 
 GRECO bar with friction 1 (2D), block with friction .3 (3D), independent meshes four (3D: two) times finer at contact,
-sizes halved from level to level. Every transfer serves the default method and the monotone one (V(2,0)), with the
+sizes halved everywhere from level to level. Every transfer serves the default method and the monotone one (V(2,0)), with the
 nested start, to 1e-8; fine contact nodes interpolate along the coarse contact boundary whatever the transfer does
 elsewhere. Then two grids with a growing ratio of their sizes, from zero, and hierarchies of NGSolve's locally refined
 meshes next to those of the package's own mesher. Point interpolation builds quickest and keeps
@@ -29,7 +29,8 @@ MONOTONE = {"correction": am.Monotone(), "cycle": am.Cycle(pre=2, post=0)}
 def posed(dim: int, levels: int) -> tuple[am.ContactProblem, list[am.MeshArrays]]:
     """Problem and independent meshes, coarse to fine."""
     problem = am.cases.greco_bar(law=am.Coulomb(1.0)) if dim == 2 else am.cases.greco_block(law=am.Coulomb(0.3))
-    return problem, [graded(problem.domain, 20e-3 / 2**k, "bottom", 4 if dim == 2 else 2) for k in range(levels)]
+    return problem, [graded(problem.domain, 20e-3 / 2**k, "bottom", 4 if dim == 2 else 2, 0.3 / 2**k)
+                     for k in range(levels)]
 
 
 def run(dim: int, levels: int, transfer: str) -> dict:
@@ -91,7 +92,8 @@ def mesher(case: str, mesher: str, levels: int) -> dict:
     problem = make()
     graded(problem.domain, sizes[0], problem.pair_boundaries, ratio, mesher=mesher)
     begin = processor_time()
-    meshes = [graded(problem.domain, size, problem.pair_boundaries, ratio, mesher=mesher) for size in sizes[:levels]]
+    meshes = [graded(problem.domain, size, problem.pair_boundaries, ratio, 0.3 * size / sizes[0], mesher=mesher)
+              for size in sizes[:levels]]
     meshed = processor_time() - begin
     grids = am.Hierarchy.from_meshes(problem, meshes)
     result, seconds = timed(grids, am.FullMultigrid())

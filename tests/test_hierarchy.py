@@ -86,6 +86,29 @@ def test_sizes_have_defaults_that_follow_bodies_and_contact():
     assert len(plain.finest.discrete.contact) < len(bar.finest.discrete.contact) / 2
 
 
+def test_errors_of_a_graded_family_fall_with_the_square_of_its_sizes():
+    problem, sizes = am.cases.hertz_cylinder(), [12.5e-3 / 2**k for k in range(4)]
+    grids = am.Hierarchy.graded(problem, sizes, contact_ratio=32)
+    works = [float(level.discrete.load @ am.solve(grids.truncated(finest=k)).displacement.ravel())
+             for k, level in enumerate(grids)]
+    falls = np.diff(works)
+    assert np.all(np.abs(falls[:-1] / falls[1:] - 3.8) < 1.1)
+    by_body = am.Hierarchy.graded(problem, [{"upper": size, "lower": size} for size in sizes[:2]], contact_ratio=32)
+    assert np.array_equal(by_body.finest.mesh.points, grids[1].mesh.points)
+
+
+@pytest.mark.parametrize(("domain", "mesher"), [
+    (am.Rectangle(width=1, height=1), "own"), (am.Rectangle(width=1, height=1), "netgen"),
+    (am.Box(width=1, depth=1, height=0.5), "own"), (am.Cylinder((0, 0, 0), (0, 0, 1), 0.5, 0.3), "own"),
+    (am.Cylinder((0, 0, 0), (0, 0, 1), 0.5, 0.3), "netgen")])
+def test_graded_levels_are_finer_everywhere_alike(domain, mesher):
+    problem = replace(BAR, domain=domain) if domain.dim == 2 else am.ContactProblem(
+        material=am.Solid(young=1.0, poisson=0.3), contact=am.Contact("bottom", am.Plane((0, 0, 0), (0, 0, 1))),
+        law=am.Frictionless(), domain=domain)
+    coarse, fine = am.Hierarchy.graded(problem, (0.4, 0.2), 5, mesher=mesher)
+    assert fine.n_nodes / coarse.n_nodes == pytest.approx(2**domain.dim, rel=0.25)
+
+
 def test_paper_grids():
     grids = am.Hierarchy.uniform(BAR, divisions=(4, 8, 16, 32))
     assert [row["nodes"] for row in grids.table()] == [25, 81, 289, 1089]

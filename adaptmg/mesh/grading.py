@@ -70,8 +70,8 @@ MESHERS = ("own", "netgen")
 
 
 def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries: str | Sequence[str] = (),
-           contact_ratio: float | Mapping[str, float] = 1.0, grading: float = 0.3, *, rounds: int = 1,
-           mesher: str = "own") -> MeshArrays:
+           contact_ratio: float | Mapping[str, float] = 1.0, grading: float | Mapping[str, float] = 0.3, *,
+           rounds: int = 1, mesher: str = "own") -> MeshArrays:
     """Mesh a domain, finer near some boundaries.
 
     Parameters
@@ -85,7 +85,7 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     contact_ratio : float; of an assembly also a mapping of str to float
         >= 1. A few hundred are fine in 2D; in 3D the number of nodes grows with its square. A single number does not
         concern bodies without contact boundaries.
-    grading : float
+    grading : float; of an assembly also a mapping of str to float
         Growth of the edge length per distance from contact, above 0 and at most 1.
     rounds : int
         How often Netgen meshes again by the size field (for ratios above 1; not of solids).
@@ -116,19 +116,19 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     domain = in_edges(domain)
     names = checks.items("contact_boundaries", contact_boundaries, str, "names of boundaries")
     if isinstance(domain, StepFile):
-        return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), growth(grading),
+        return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), grading,
                          mesher=checks.choice("mesher", mesher, MESHERS))
     for name in names:
         if name not in domain.boundaries:
             raise ValueError(f"contact_boundaries: boundary {name!r} does not exist; "
                              f"the boundaries are {', '.join(dict.fromkeys(domain.boundaries))}")
     if isinstance(domain, Assembly):
-        sizes, ratios = (per_body(what, value, domain.bodies)
-                         for what, value in (("size", size), ("contact_ratio", contact_ratio)))
+        sizes, ratios, gradings = (per_body(what, value, domain.bodies) for what, value in (
+            ("size", size), ("contact_ratio", contact_ratio), ("grading", grading)))
         mine = {body: boundaries_of(body, names) for body in domain.bodies}
         if names and not isinstance(contact_ratio, Mapping):
             ratios = {body: ratio if mine[body] else 1.0 for body, ratio in ratios.items()}
-        return swept(merged({body: graded(part, sizes[body], mine[body], ratios[body], grading, rounds=rounds,
+        return swept(merged({body: graded(part, sizes[body], mine[body], ratios[body], gradings[body], rounds=rounds,
                                           mesher=mesher)
                              for body, part in domain.parts.items()}))
     size = checks.positive("size", size)
@@ -294,6 +294,19 @@ def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArra
         refuse_too_many(expected_nodes(mesh, sizes), domain)
         mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
     raise unreachable(domain, large)
+
+
+def gradings_of(sizes: Sequence[float | Mapping[str, float]], coarsest: float) -> list[float | dict[str, float]]:
+    """Gradings of levels, coarse to fine, which make their size fields multiples of the first."""
+    def of(size: float, first: float) -> float:
+        # levels whose sizes rise are refused once they are meshed
+        return coarsest * min(checks.positive("size", size) / checks.positive("size", first), 1.0)
+
+    bodies = next((tuple(size) for size in sizes if isinstance(size, Mapping)), None)
+    if bodies is None:
+        return [of(size, sizes[0]) for size in sizes]
+    tables = [per_body("size", size, bodies) for size in sizes]
+    return [{body: of(table[body], tables[0][body]) for body in bodies} for table in tables]
 
 
 def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[float, ...], float]:

@@ -8,7 +8,7 @@ With the distance d to the nearest of the points,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,14 @@ class SizeNear:
         object.__setattr__(self, "grading", checks.positive("grading", self.grading))
         if not self.grading <= 1:
             raise ValueError(f"grading must be at most 1, got {self.grading!r}")
+
+    def scaled(self, factor: float) -> SizeNear:
+        """Return the size function times a factor everywhere, for another level of a family whose errors fall evenly.
+
+        Where ``sized`` limits sizes, its ``max_size`` and ``grading`` take the same factor.
+        """
+        factor = checks.positive("factor", factor)
+        return replace(self, size=factor * self.size, grading=factor * self.grading)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Sizes (n,) at points (n, dim), m."""

@@ -56,7 +56,7 @@ def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float]
     return step_mesh(domain, size, boundary_sizes, grading, size_function, curvature=curvature)
 
 
-def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, grading: float = 0.3,
+def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, grading: Sizes = 0.3,
               size_function: SizeFunction | Mapping[str, SizeFunction] | None = None, *, curvature: float = 2.0,
               mesher: str = "own") -> MeshArrays:
     """Mesh the solids of a STEP file with straight tetrahedra, each solid apart."""
@@ -71,9 +71,10 @@ def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float]
                                  f"{', '.join(dict.fromkeys(known))}")
         largest, meshes = per_body("size", size, list(contents)), {}
         functions = per_body("size_function", size_function, list(contents))
+        gradings = per_body("grading", grading, list(contents))
         for body, shape in step_shapes(worker, domain, contents):
             own = {face: boundary_sizes[f"{body}.{face}"] for face in boundaries_of(body, list(boundary_sizes or {}))}
-            sizes = SolidSizes(largest[body], own, grading, functions[body], curvature)
+            sizes = SolidSizes(largest[body], own, gradings[body], functions[body], curvature)
             meshes[body] = check_mesh(shape_mesh(worker, shape, sizes, domain, _CURVED, mesher))
     return swept(merged(meshes))
 

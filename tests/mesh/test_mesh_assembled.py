@@ -127,8 +127,10 @@ class TestSizedAssembly:
 
     def test_size_near(self):
         field = SizeNear([(0, 0), (4, 0)], size=0.1, radius=1.0, grading=0.5)
-        np.testing.assert_allclose(field(np.array([[0.5, 0], [2, 0], [4, 3]])), [0.1, 0.6, 1.1])
+        places = np.array([[0.5, 0], [2, 0], [4, 3]])
+        np.testing.assert_allclose(field(places), [0.1, 0.6, 1.1])
         assert hash(field) == hash(SizeNear(((0.0, 0.0), (4.0, 0.0)), size=0.1, radius=1.0, grading=0.5))
+        np.testing.assert_allclose(field.scaled(0.3)(places), 0.3 * field(places), rtol=1e-14)
 
 
 test_refuses = refused(
@@ -145,4 +147,5 @@ test_refuses = refused(
     (lambda: sized(UPPER, SizeNear([(0, 0, 0)], size=0.1), 1.0), "are 3D, the mesh is 2D"),
     (lambda: SizeNear([], size=1.0), "at least one point"),
     (lambda: SizeNear([(0, 0), (0, 0, 0)], size=1.0), "same dimension"),
-    (lambda: SizeNear([(0, 0)], size=1.0, grading=2), "grading must be at most 1"))
+    (lambda: SizeNear([(0, 0)], size=1.0, grading=2), "grading must be at most 1"),
+    (lambda: SizeNear([(0, 0)], size=1.0).scaled(0.0), "factor must be > 0"))

@@ -123,7 +123,7 @@ def test_netgen_meshes_every_plane_case(name):
         result, mesh = am.solve(grids), grids.finest.mesh
         assert set(mesh.boundaries) == set(problem.domain.boundaries) and quality(mesh).min_angle > 20
         energies.append(result.energy)
-    assert energies[0] == pytest.approx(energies[1], rel=0.03)
+    assert energies[0] == pytest.approx(energies[1], rel=0.05)
 
 
 def test_netgen_takes_over_where_triangulation_fails(monkeypatch, caplog):
