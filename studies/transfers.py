@@ -3,11 +3,11 @@
     python studies/transfers.py [--quick | --full] [--out DIR]
 
 GRECO bar with friction 1 (2D), block with friction .3 (3D), independent meshes four (3D: two) times finer at contact,
-sizes halved everywhere from level to level. Every transfer serves the default method and the monotone one (V(2,0)), with the
-nested start, to 1e-8; fine contact nodes interpolate along the coarse contact boundary whatever the transfer does
-elsewhere. Then two grids with a growing ratio of their sizes, from zero, and hierarchies of NGSolve's locally refined
-meshes next to those of the package's own mesher. Point interpolation builds quickest and keeps
-the coarse matrices sparse; what decides is the ratio of sizes of neighbouring levels.
+sizes halved everywhere from level to level. Every transfer serves the default method and the monotone one (V(2,0)),
+with the nested start, to 1e-8; fine contact nodes interpolate along the coarse contact boundary whatever the transfer
+does elsewhere. Then two grids with a growing ratio of their sizes, from zero, and hierarchies of NGSolve's locally
+refined meshes next to those of the package's own mesher. Point interpolation builds quickest and keeps the coarse
+matrices sparse; what decides is the ratio of sizes of neighbouring levels.
 """
 
 import time
