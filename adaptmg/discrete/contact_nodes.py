@@ -24,7 +24,7 @@ class ContactNodes:
     Parameters
     ----------
     nodes : (n_contact,) array of int
-        Node numbers, each once.
+        Node numbers, each once; there may be none.
     normals : (n_contact, dim) array
         Unit normals, out of the body.
     gaps : (n_contact,) array
@@ -69,34 +69,32 @@ class ContactNodes:
     def __post_init__(self) -> None:
         nodes = check_arrays.array("nodes", self.nodes, (None,), integer=True)
         n = len(nodes)
-        if n == 0:
-            raise ValueError("nodes is empty: a contact problem needs at least one contact node")
-        if len(np.unique(nodes)) < n or nodes.min() < 0:
+        if len(np.unique(nodes)) < n or nodes.min(initial=0) < 0:
             raise ValueError("nodes must be distinct and >= 0")
         checks.flag("allow_interference", self.allow_interference)
         normals = bounded("normals", self.normals, (n, None), 2.0)
         if normals.shape[1] not in (2, 3):
             raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
         lengths = np.linalg.norm(normals, axis=1)
-        if np.abs(lengths - 1).max() > 1e-6:
+        if np.abs(lengths - 1).max(initial=0.0) > 1e-6:
             i = int(np.argmax(np.abs(lengths - 1)))
             raise ValueError(f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}")
         normals = normals / lengths[:, None]
         normals.flags.writeable = False
         gaps = bounded("gaps", self.gaps, (n,), checks.VAST)
-        if not self.allow_interference and gaps.min() < 0:
+        if not self.allow_interference and gaps.min(initial=0.0) < 0:
             i = int(np.argmin(gaps))
             raise ValueError(f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
                              "for an interference fit say allow_interference=True")
         weights = bounded("weights", np.ones(n) if self.weights is None else self.weights, (n,))
-        if not weights.min() > 0 or weights.min() < SMALLEST:
+        if not weights.min(initial=1.0) >= SMALLEST:
             raise ValueError(f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}")
         reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
         reference = bounded("slip_reference", reference, normals.shape, checks.VAST)
         names, masters = self._names()
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
         boundary = check_arrays.array("boundary", boundary, (n,), integer=True)
-        if boundary.min() < 0 or boundary.max() >= len(names):
+        if boundary.min(initial=0) < 0 or boundary.max(initial=0) >= len(names):
             wrong = boundary.min() if boundary.min() < 0 else boundary.max()
             raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")
         for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
@@ -125,7 +123,7 @@ class ContactNodes:
 
     def check_nodes(self, n_nodes: int) -> None:
         """ValueError unless all nodes are below ``n_nodes``."""
-        if self.nodes.max() >= n_nodes:
+        if self.nodes.max(initial=-1) >= n_nodes:
             raise ValueError(f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes")
 
     def __len__(self) -> int:

@@ -62,8 +62,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
 
     Its law has nodal parameters; its name is the problem's with the number of nodes.
 
-    ValueError if dimensions, boundary or body names differ, if a body has neither support nor contact, if the mesh has
-    fewer than dim + 1 contact nodes, or loads and supports do not fit it.
+    ValueError if dimensions, boundary or body names differ, if a body has neither support nor contact, or loads and
+    supports do not fit it. A coarse mesh may have few contact nodes, or none.
 
     Parameters
     ----------
@@ -90,9 +90,7 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     _check_held(problem, mesh, bodies)
     fixed, values = fixed_dofs(mesh, problem.supports)
     contact, weights = _contact(problem, mesh, slip_reference, fixed)
-    if len(contact) <= mesh.dim:
-        raise ValueError(f"mesh too coarse: {len(contact)} contact nodes on {', '.join(problem.contact_boundaries)}, "
-                         f"at least {mesh.dim + 1} are needed; refine the mesh there")
+    Stops.of(problem, mesh, fixed).check(values)
     materials = body_materials(mesh, problem.material)
     parts = {"matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
              "load": load_vector(mesh, problem.loads, materials, problem.elements),
@@ -236,7 +234,8 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
             mine = surfaces[k].nodes
-            without = mine[owner[mine] != k]
+            without = np.union1d(mine[owner[mine] != k], _prescribed(problem, mesh, k, mine, slave_normals(
+                surfaces[k], fixed)[mine], fixed))
             if excluded is not None:
                 without = np.union1d(without, excluded)
             parts.append(pair_interface(mesh, contact, fixed=fixed, excluded=without,
@@ -249,7 +248,6 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     nodes, boundary = nodes[order], boundary[order]
     normals, weights, gaps = (np.concatenate([getattr(part, name) for part in parts])[order]
                               for name in ("normals", "weights", "gaps"))
-    _check_supports(problem, mesh, nodes, boundary, fixed[nodes] & (np.abs(normals) > 1e-8))
     if slip_reference is not None:
         slip_reference = check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
     contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
@@ -278,7 +276,6 @@ def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, su
         averaged = slave_normals(surfaces[k], fixed)[nodes]
     except ValueError as error:
         raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
-    weights = _lumped_masses(problem, surfaces, nodes, k, averaged)
     normals, gaps = _facing(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
     gaps = np.array(gaps, dtype=np.float64)
     if len(nodes) and gaps.min() < 0:
@@ -288,7 +285,9 @@ def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, su
         raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
                          f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
                          "allow_interference=True for an interference fit")
-    return MortarInterface(nodes, normals, weights, gaps)
+    kept = ~np.isin(nodes, _prescribed(problem, mesh, k, nodes, normals, fixed))
+    nodes, normals = nodes[kept], normals[kept]
+    return MortarInterface(nodes, normals, _lumped_masses(problem, surfaces, nodes, k, averaged[kept]), gaps[kept])
 
 
 def _lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
@@ -323,17 +322,65 @@ def _facing(obstacle: object, boundary: str, points: np.ndarray, normals: np.nda
     return directions, check_arrays.array(f"{name}: its gaps", gaps, (len(points),))
 
 
-def _check_supports(problem: ContactProblem, mesh: MeshArrays, nodes: np.ndarray, owner: np.ndarray,
-                    clash: np.ndarray) -> None:
-    """Raise ValueError if ``clash`` (n_contact, dim), a fixed component with a normal part, holds anywhere."""
-    if not clash.any():
-        return
-    i, d = (int(k[0]) for k in np.nonzero(clash))
-    support = next(s for s in problem.supports if fixed_dofs(mesh, [s])[0][mesh.dim * nodes[i] + d])
-    raise ValueError(f"the support on {support.place!r} fixes {'xyz'[d]}, which has a part normal to contact "
-                     f"boundary {problem.contact[owner[i]].boundary!r} at their common node {nodes[i]} "
-                     f"{tuple(mesh.points[nodes[i]].tolist())}: contact could never open there; free that component, "
-                     "or end one of the boundaries before the other begins")
+_TANGENTIAL = 1e-8  # a component of a unit normal below this is none
+
+
+def _prescribed(problem: ContactProblem, mesh: MeshArrays, k: int, nodes: np.ndarray, normals: np.ndarray,
+                fixed: np.ndarray) -> np.ndarray:
+    """Those of the nodes on contact boundary k whose normal displacement is prescribed: they carry no contact.
+
+    ValueError if a support prescribes a part of it only, or all of it on the contact boundary itself.
+    """
+    boundary = problem.contact[k].boundary
+    clash = fixed[nodes] & (np.abs(normals) > _TANGENTIAL)
+    whole = np.linalg.norm(np.where(fixed[nodes], 0.0, normals), axis=1) <= _TANGENTIAL
+    own = [one for one in problem.supports if one.boundary == boundary]
+    refused = clash & (~whole[:, None] | fixed_dofs(mesh, own)[0].reshape(fixed.shape)[nodes])
+    if refused.any():
+        i, d = (int(at[0]) for at in np.nonzero(refused))
+        support = next(one for one in problem.supports if fixed_dofs(mesh, [one])[0][mesh.dim * nodes[i] + d])
+        raise ValueError(f"the support on {support.place!r} fixes {'xyz'[d]}, which has a part normal to contact "
+                         f"boundary {boundary!r} at their common node {nodes[i]} "
+                         f"{tuple(mesh.points[nodes[i]].tolist())}: contact could never open there; free that "
+                         "component, or end one of the boundaries before the other begins")
+    return nodes[whole & clash.any(axis=1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """Rigid obstacles in front of nodes that a support moves: their motion must end before them."""
+
+    dofs: np.ndarray  # (n, dim)
+    normals: np.ndarray  # (n, dim)
+    gaps: np.ndarray  # (n,), m
+    boundary: np.ndarray  # (n,) of str
+
+    @classmethod
+    def of(cls, problem: ContactProblem, mesh: MeshArrays, fixed: np.ndarray) -> Stops:
+        """The nodes of a mesh whose normal displacement the dofs ``fixed`` (n_dofs,) prescribe."""
+        parts, held = [], fixed.reshape(-1, mesh.dim)
+        for contact in problem.contact:
+            if isinstance(contact, ContactPair) or contact.allow_interference:
+                continue
+            surface = mesh.surface(contact.boundary)
+            nodes = surface.nodes[held[surface.nodes].any(axis=1)]
+            if len(nodes):
+                normals, gaps = _facing(contact.obstacle, contact.boundary, mesh.points[nodes],
+                                        slave_normals(surface, held)[nodes])
+                whole = np.linalg.norm(np.where(held[nodes], 0.0, normals), axis=1) <= _TANGENTIAL
+                parts.append((mesh.dim * nodes[whole, None] + np.arange(mesh.dim), normals[whole], gaps[whole],
+                              np.full(whole.sum(), contact.boundary)))
+        none = (np.empty((0, mesh.dim), dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0, dtype=str))
+        return cls(*(np.concatenate(arrays) for arrays in zip(none, *parts, strict=True)))
+
+    def check(self, values: np.ndarray) -> None:
+        """ValueError if the prescribed displacement (n_dofs,) crosses an obstacle."""
+        moved = np.einsum("nd,nd->n", self.normals, values[self.dofs])
+        over = moved - self.gaps - _ROUNDING * (np.abs(moved) + np.abs(self.gaps))
+        if (over > 0).any():
+            i = int(np.argmax(over))
+            raise ValueError(f"a support moves contact boundary {str(self.boundary[i])!r} {over[i]:.6g} m into its obstacle "
+                             f"at node {self.dofs[i, 0] // len(self.normals[0])}: move it less, or the obstacle")
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,6 +394,7 @@ class LoadSteps:
     strains: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_elements, 3)
     strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
     mesh: MeshArrays | None = None
+    stops: Stops | None = None
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | None:
         """What the stresses of a step follow from."""
@@ -383,6 +431,8 @@ class LoadSteps:
                                  f"{result[dof]:g} and {scaled[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
                                  "give both the same factors")
             result[dofs], owner[dofs] = scaled, k
+        if self.stops is not None:
+            self.stops.check(result)
         return result
 
 
@@ -402,7 +452,8 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
         dofs = np.flatnonzero(fixed)
         prescribed[name] = dofs, values[dofs]
     return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed,
-                     StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh)
+                     StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh,
+                     Stops.of(problem, mesh, discrete.fixed))
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:

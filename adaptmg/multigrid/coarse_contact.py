@@ -66,6 +66,8 @@ class CoarseContact:
         """Correct the smoothed iterate; returns the A-norm of the correction, sqrt(N m), or infinity where there is
         none."""
         step = self.step
+        if not len(self.eliminated.contact):  # no coarse unknown moves a contact node
+            return np.inf
         levels, rest = step.cycle.levels, step.residual
         for level in reversed(levels[self.number + 1:step.number + 1]):
             coarse = np.zeros(level.below.matrix.n_dofs)

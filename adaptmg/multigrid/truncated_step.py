@@ -56,7 +56,7 @@ class TruncatedStep:
                                      [level.prolongation for level in levels[1:]], contact)
         self.motions, self.depth = motions, depth
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
-        self._frozen: bool | None = False  # whether friction is frozen in the coarse matrices
+        self._frozen: bool | None = None  # whether friction is frozen in the coarse matrices; None: they are to be made
         self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
 
     def measure(self, safe: bool = False, trusted: Callable[[np.ndarray], float] | None = None,

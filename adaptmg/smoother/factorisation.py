@@ -209,6 +209,14 @@ class Condensed(Eliminated):
         """Whether no dof was left at zero."""
         return len(self.factors.order) == self.full.system.n_dofs
 
+    @property
+    def by_nodes(self) -> bool:
+        """Whether sweeps may solve node by node: all contact nodes but one hold every body."""
+        n, dim = len(self.full.system.nodes), self.full.system.dim
+        size = np.sqrt(self.shift).reshape(n, dim)
+        blocks = self.matrix.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n)] / (size[:, :, None] * size[:, None])
+        return bool(np.linalg.eigvalsh(blocks).min(initial=1.0) > _PIVOT)
+
     @cached_property
     def problem(self) -> LocalProblem:
         """The condensed problem."""
@@ -279,7 +287,7 @@ def _eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
 def _blocks(matrix: np.ndarray, dim: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(matrix) // dim
     blocks = matrix.reshape(n, dim, n, dim).swapaxes(1, 2).reshape(-1, dim, dim)
-    return blocks, np.tile(np.arange(n), n), np.arange(0, n * n + 1, n)
+    return blocks, np.tile(np.arange(n), n), n * np.arange(n + 1)
 
 
 def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> sparse.csc_array:

@@ -69,6 +69,7 @@ class ProjectedRun:
         if self.coarse.condensed:
             with self.run.phase("factorise"):
                 condensed = self._condensed(levels[0].system)
+                condensed = condensed if condensed.by_nodes else None
         return MultigridCycle(levels, self.cycle, self.smoother, self.correction, self.coarse, self.run, self.initial,
                               condensed)
 

@@ -63,6 +63,9 @@ class SingleGrid:
         if self.condensed:
             with run.phase("factorise"):
                 condensed = condense(local)
+                if not condensed.by_nodes:
+                    raise ValueError("condensed=True needs more contact nodes: with all but one fixed, a body that "
+                                     "only contact holds can still move; use condensed=False")
                 problem, sizes = condensed.problem, _CondensedSizes(condensed)
                 restrict, recover = condensed.restrict, condensed.recover
         unknowns = restrict(np.zeros(local.system.n_dofs) if start is None else local.to_local(start))

@@ -140,7 +140,7 @@ def summed_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
     The total is that of g where the rows sum to 1.
     """
     coarse = np.repeat(np.arange(len(sets.main)), np.diff(sets.indptr))
-    return np.bincount(coarse, weights=sets.weights * limit[sets.nodes], minlength=len(sets.main))
+    return np.bincount(coarse, weights=sets.weights * limit[sets.nodes], minlength=len(sets.main)).astype(np.float64)
 
 
 def injected_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:

@@ -80,15 +80,19 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
         master_rows = [_along(coarse, fine, name, fine.boundary_nodes(name)) for name in contact.masters if name]
         for nodes, rows in (*master_rows, *slave_rows):
             nodal = with_contact_rows(nodal, nodes, rows)
-    if coupling is None:
-        return LevelTransfer(nodal)
-    relative = coupling.prolongation(nodal, coarse_problem.coupling)
+    relative = nodal if coupling is None else coupling.prolongation(nodal, coarse_problem.coupling)
     surface, above = relative, coarse_problem.contact
+    # others are held: no coarse bound limits what they would pass to fine contact nodes
+    passes = np.isin(np.arange(coarse.n_nodes), above.nodes) | coarse_problem.fixed.reshape(-1, coarse.dim).all(axis=1)
     for k, (nodes, rows) in enumerate(slave_rows):
         known = above.nodes[above.boundary == k]
-        if contact.masters[k] and len(known):
+        if contact.masters[k]:
             surface = with_contact_rows(surface, nodes, _among(known, rows, fine.points[nodes], coarse.points))
-    return LevelTransfer(relative, surface)
+        elif contact_rows and not passes[rows.indices].all():
+            data = np.where(passes[rows.indices], rows.data, 0.0)
+            rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+            surface = with_contact_rows(surface, nodes, rows)
+    return LevelTransfer(relative, None if surface is nodal else surface)
 
 
 def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
@@ -129,7 +133,9 @@ def _along(coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarra
 
 def _among(known: np.ndarray, rows: sparse.csr_array, points: np.ndarray, coarse_points: np.ndarray
            ) -> sparse.csr_array:
-    """Rows with sum 1 over the columns ``known`` alone: scaled, or 1 at the nearest."""
+    """Rows with sum 1 over the columns ``known`` alone: scaled, or 1 at the nearest; zero without any."""
+    if not len(known):
+        return sparse.csr_array(rows.shape)
     kept = sparse.csr_array(rows @ sparse.diags_array(np.isin(np.arange(rows.shape[1]), known).astype(float)))
     sums = np.asarray(kept.sum(axis=1)).ravel()
     lost = np.flatnonzero(sums <= 1e-10)

@@ -41,7 +41,6 @@ class TestContactNodes:
 
     @pytest.mark.parametrize(("changes", "error", "message"), [
         ({"nodes": [2, 2]}, ValueError, "distinct"),
-        ({"nodes": np.zeros(0, dtype=int), "normals": np.zeros((0, 2)), "gaps": []}, ValueError, "nodes is empty"),
         ({"normals": [[0.0, np.nan], [0.6, -0.8]]}, ValueError, "normals must be finite; 1 entries are not"),
         ({"normals": [[0.0, -1.0], [0.6, -0.9]]}, ValueError, "contact node 1 has length 1.08"),
         ({"gaps": [0.0, -1e-3]}, ValueError, "got -0.001 at contact node 1; for an interference fit"),

@@ -114,6 +114,85 @@ test_refused = refused(
      "symmetry on 'circle': the boundary must be plane"))
 
 
+def clamped_beam(gap, seed, sinks=0.0):
+    """A beam clamped at both ends above a plane, of a random place, size and direction; the meshes and the turn."""
+    rng = np.random.default_rng(seed)
+    size, angle, shift = 10.0 ** rng.uniform(-3, 2), rng.uniform(0, 2 * np.pi), rng.uniform(-5, 5, 2)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    meshes = [structured(am.Rectangle(width=1.0, height=0.2), n) for n in ((1, 1), (2, 1), (2, 2), (4, 2), (6, 3))]
+    meshes = [replace(one, points=size * one.points @ turn + shift, source=None) for one in meshes]
+    end = dict(zip("xy", size * np.array([0.0, sinks]) @ turn, strict=True))
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=2e9, poisson=0.3), law=am.Coulomb(0.3), loads=(am.Pressure("top", 8e7),),
+        contact=am.Contact("bottom", am.Plane(size * np.array([0, -gap]) @ turn + shift, np.array([0, 1]) @ turn)),
+        supports=(am.Support("left", **end), am.Support("right", **end)))
+    return problem, meshes, turn / size
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_clamped_end_above_the_obstacle_carries_no_contact(seed):
+    problem, meshes, back = clamped_beam(0.05, seed)
+    grids = am.Hierarchy.from_meshes(problem, meshes)
+    assert [row["contact_nodes"] for row in grids.table()] == [0, 1, 1, 3, 5]
+    exact = am.solve(grids, EXACT)
+    assert (exact.contact.state != am.OPEN).sum() == 3 and exact.contact.gap.min() >= -1e-14 * np.ptp(meshes[-1].points)
+    upright = am.Hierarchy.uniform(replace(problem, domain=am.Rectangle(width=1.0, height=0.2), contact=am.Contact(
+        "bottom", am.Plane((0, -0.05), (0, 1)))), [(6, 3)])
+    np.testing.assert_allclose(exact.displacement @ back.T, am.solve(upright, EXACT).displacement, atol=1e-9)
+    for method in (am.Multigrid(), am.FullMultigrid(), am.Multigrid(correction=am.Monotone(), max_cycles=400)):
+        for finest in range(1, 5):
+            part = grids.truncated(finest=finest)
+            np.testing.assert_allclose(am.solve(part, method).displacement, am.solve(part, EXACT).displacement,
+                                       atol=1e-6 * np.abs(exact.displacement).max())
+
+
+def test_the_monotone_correction_passes_nothing_from_a_roller_to_the_contact_next_to_it():
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=1.0, height=0.5), material=am.PlaneStrain(young=1e9, poisson=0.3),
+        law=am.Coulomb(0.3), contact=am.Contact("bottom", am.Plane((0, -1e-4), (0, 1))),
+        loads=(am.Pressure("top", 2e5), am.Traction("right", (-1e5, 0.0))),
+        supports=(am.Support("left", y=0), am.PointSupport((1, 0.5), x=0)))
+    grids = am.Hierarchy.uniform(problem, (2, 4, 8))
+    monotone = am.solve(grids, am.Multigrid(correction=am.Monotone(), max_cycles=200))
+    np.testing.assert_allclose(monotone.displacement, am.solve(grids, EXACT).displacement, atol=1e-10)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_nodes_at_the_clamped_ends_of_a_slave_carry_no_multiplier(dim):
+    """A beam between clamps on a soft bed: every level couples what is free, and the forces balance."""
+    size, box = ((1.0, 0.2), am.Rectangle) if dim == 2 else ((1.0, 0.3, 0.2), am.Box)
+    names = ("width", "height") if dim == 2 else ("width", "depth", "height")
+    beam = box(**dict(zip(names, size, strict=True)))
+    bed = replace(beam, origin=(*[0.0] * (dim - 1), -0.2))
+    held = dict.fromkeys("xyz"[:dim], 0.0)
+    material = (am.PlaneStrain if dim == 2 else am.Solid)(young=1e9, poisson=0.3)
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts={"beam": beam, "bed": bed}), material=material, law=am.Coulomb(0.3),
+        contact=am.ContactPair("beam.bottom", "bed.top"), loads=(am.Pressure("beam.top", 1e5),),
+        supports=tuple(am.Support(name, **held) for name in ("beam.left", "beam.right", "bed.bottom")))
+    grids = am.Hierarchy.uniform(problem, [(n, *[max(n // 2, 1)] * (dim - 1)) for n in (1, 2, 4)])
+    counts = [row["contact_nodes"] for row in grids.table()]
+    assert counts == ([0, 1, 3] if dim == 2 else [0, 2, 9])
+    exact = am.solve(grids, EXACT)
+    assert_balanced(exact, Parts.of(problem, grids.finest.mesh), 1e-9)
+    monotone = am.Multigrid(correction=am.Monotone(), max_cycles=400)
+    for method in (am.Multigrid(rtol=1e-9), am.FullMultigrid(rtol=1e-9), monotone):
+        np.testing.assert_allclose(am.solve(grids, method).displacement, exact.displacement,
+                                   atol=1e-6 * np.abs(exact.displacement).max())
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_support_may_move_up_to_the_obstacle_and_not_beyond(seed):
+    problem, meshes, _ = clamped_beam(0.05, seed, sinks=-0.049)
+    grids = am.Hierarchy.from_meshes(problem, meshes[-2:])
+    assert am.solve(grids, EXACT).contact.gap.min() >= -1e-14 * np.ptp(meshes[-1].points)
+    crossing = am.LoadPath({"left": [0.5, 1.0, 1.5], "right": [0.5, 1.0, 1.5]})
+    with pytest.raises(ValueError, match=r"moves contact boundary 'bottom' .* into its obstacle"):
+        am.solve_path(grids, crossing, EXACT)
+    with pytest.raises(ValueError, match=r"moves contact boundary 'bottom' .* into its obstacle"):
+        am.discretise(clamped_beam(0.05, seed, sinks=-0.051)[0], meshes[-1])
+
+
 FRICTION, PRESSURE, PULL = 0.4, 1e7, 1e-3
 EXACT = am.ActiveSet(rtol=1e-11)
 

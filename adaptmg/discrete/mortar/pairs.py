@@ -39,6 +39,9 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
                    axisymmetric: bool) -> MortarInterface:
     """The interface of a pair."""
     slave, master = mesh.surface(pair.slave), mesh.surface(pair.master)
+    if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
+        nothing = sparse.csr_array((0, mesh.n_nodes))
+        return MortarInterface(slave.nodes[:0], np.empty((0, mesh.dim)), np.empty(0), np.empty(0), nothing, np.empty(0))
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
         surfaces = Surfaces(slave, master, slave_normals(slave, fixed), excluded, axisymmetric)
