@@ -379,8 +379,9 @@ class Stops:
         over = moved - self.gaps - _ROUNDING * (np.abs(moved) + np.abs(self.gaps))
         if (over > 0).any():
             i = int(np.argmax(over))
-            raise ValueError(f"a support moves contact boundary {str(self.boundary[i])!r} {over[i]:.6g} m into its obstacle "
-                             f"at node {self.dofs[i, 0] // len(self.normals[0])}: move it less, or the obstacle")
+            node = self.dofs[i, 0] // self.dofs.shape[1]
+            raise ValueError(f"a support moves contact boundary {str(self.boundary[i])!r} {over[i]:.6g} m into its "
+                             f"obstacle at node {node}: move it less, or the obstacle")
 
 
 @dataclass(frozen=True, eq=False)
