@@ -8,8 +8,11 @@ constant on an element, but for the hoop strain :math:`u_r / r` of axisymmetric 
 taken: its value at the centroid, :math:`\int u_r \big/ \int r`. The strain energy is
 :math:`\tfrac12 \int \sigma : (\varepsilon - \varepsilon_0)`, by the quadrature of the stiffness matrix.
 
-Smoothed elements take the trace from the edges, as their matrix does (S of :mod:`adaptmg.discrete.smoothed`):
-:math:`\sigma = \lambda\, S\,\mathrm{tr}(\varepsilon - \varepsilon_0) I + 2\mu (\varepsilon - \varepsilon_0)`.
+Smoothed elements take the trace from the edges, as their matrix does (S of :mod:`adaptmg.discrete.smoothed`), and the
+pressures p of groups of nodes, if any, as a mean of their corners:
+
+.. math:: \sigma = \big(\lambda_1\, S\,\mathrm{tr}(\varepsilon - \varepsilon_0) + \bar p\big) I
+   + 2\mu (\varepsilon - \varepsilon_0) .
 """
 
 from __future__ import annotations
@@ -95,6 +98,7 @@ class StressData:
     kind: np.ndarray  # (n_bodies,) int8: 0 for plane strain and solids, 1 for plane stress, 2 for axisymmetric bodies
     initial_strain: np.ndarray  # (n_elements, 3), or (0, 3) for none
     smoothed: bool = False  # whether the elements are
+    pressures: np.ndarray | None = None  # (n_elements, dim + 1): of groups of nodes, at corners, tension positive, Pa
 
     @classmethod
     def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = (), elements: str = "linear"
@@ -145,9 +149,14 @@ class StressData:
         if self.smoothed:
             volume = element_measures(mesh, self.axisymmetric)
             means = smoothed(mesh, elastic.reshape(-1, 9), volume).reshape(elastic.shape)
-            lame, shear = edge_lame(self.lame, self.shear)[mesh.element_body], self.shear[mesh.element_body]
-            trace = np.trace(elastic, axis1=1, axis2=2) * np.trace(means, axis1=1, axis2=2)
-            return 0.5 * float(volume @ (lame * trace + 2 * shear * np.einsum("nij,nij->n", means, elastic)))
+            body, lame = mesh.element_body, edge_lame(self.lame, self.shear)
+            density = (lame[body] * np.trace(elastic, axis1=1, axis2=2) * np.trace(means, axis1=1, axis2=2)
+                       + 2 * self.shear[body] * np.einsum("nij,nij->n", means, elastic))
+            if self.pressures is not None:
+                rest = self.lame - lame
+                softness = np.divide(1.0, rest, out=np.zeros_like(rest), where=rest > 0)
+                density += softness[body] * np.mean(self.pressures**2, axis=1)
+            return 0.5 * float(volume @ density)
         if not self.axisymmetric:
             return 0.5 * float(np.einsum("n,nij,nij", mesh.volumes, self._stress(mesh, elastic), elastic))
         total, (rule, weights) = 0.0, quadrature_rule(3, AXISYMMETRIC_DEGREE)
@@ -177,10 +186,14 @@ class StressData:
     def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
         body, diagonal = mesh.element_body, np.arange(3)
         stress = 2 * self.shear[body][:, None, None] * strain
-        trace = np.trace(strain, axis1=1, axis2=2)
+        trace, lame = np.trace(strain, axis1=1, axis2=2), self.lame
         if self.smoothed:
             trace = smoothed(mesh, trace[:, None], element_measures(mesh, self.axisymmetric))[:, 0]
-        stress[:, diagonal, diagonal] += (self.lame[body] * trace)[:, None]
+            lame = edge_lame(lame, self.shear)
+        isotropic = lame[body] * trace
+        if self.pressures is not None:
+            isotropic = isotropic + self.pressures.mean(axis=1)
+        stress[:, diagonal, diagonal] += isotropic[:, None]
         stress[(self.kind == _THIN)[body], 2, 2] = 0.0
         return stress
 

@@ -182,10 +182,14 @@ class Goal:
         """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
 
         The terms of the estimate are the sums of squares of each quantity by name. TypeError and ValueError as of
-        :meth:`adaptmg.Residual.indicate`, where a point, boundary or pair of a quantity does not exist, and where of
-        several quantities one is zero; numpy.linalg.LinAlgError if the adjoint matrix is singular.
+        :meth:`adaptmg.Residual.indicate`, where a point, boundary or pair of a quantity does not exist, where elements
+        are smoothed (estimates were -1 to 3 times the error), and where of several quantities one is zero;
+        numpy.linalg.LinAlgError if the adjoint matrix is singular.
         """
         this = posed(hierarchy, result)
+        if this.problem.elements == "smoothed":
+            raise ValueError("am.Goal estimates errors of linear elements, not of smoothed ones: take am.Recovery() or "
+                             "am.Residual() as indicator")
         view = GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
         functionals = [one for item in self.quantities for one in checked_functionals(view, item)]
         names = tuple(one.name for one in functionals)

@@ -4,7 +4,8 @@ r"""Recovery: an estimate of the energy error by a smoother stress (Zienkiewicz 
 
 with a stress :math:`\sigma^*` that is continuous and piecewise linear in each body: it may jump where materials meet
 and between bodies in contact (:mod:`adaptmg.discrete.recovery`). Where the solution is smooth the estimate tends to the
-error itself; it does not depend on loads and contact conditions.
+error itself; it does not depend on loads and contact conditions. Of smoothed elements, the error is that of the stress
+of :meth:`adaptmg.Result.stress`.
 """
 
 from __future__ import annotations
@@ -75,5 +76,5 @@ def _energy(cells, values, nodal, rise, rule, weights, normal, lame, shear, squa
                     difference -= (lame[e] + (2.0 * shear[e] if c == 2 else 0.0)) * rise[e, q]
                 size += difference * difference * (1.0 if c < normal else 2.0)
                 trace += difference if c < normal else 0.0
-            size -= lame[e] / (normal * lame[e] + 2.0 * shear[e]) * trace * trace
+            size -= trace * trace / (normal + 2.0 * shear[e] / lame[e])  # lame is infinite of incompressible bodies
             squares[e] += weights[e, q] * size / (2.0 * shear[e])

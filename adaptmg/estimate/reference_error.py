@@ -66,6 +66,9 @@ class Reference:
         ``own_error`` is ||u - u_H||, sqrt(N m); by default the estimate of :class:`adaptmg.Recovery`.
         """
         this = posed(hierarchy, result)
+        if this.problem.elements == "smoothed":
+            raise ValueError("a reference must have linear elements, whose energy is that of their strains: solve "
+                             "dataclasses.replace(problem, elements=\"linear\")")
         if own_error is None:
             own_error = Recovery().indicate(hierarchy, result).total
         mesh, points, on_body, constants = this.mesh, {}, {}, {}
@@ -95,8 +98,9 @@ class Reference:
 def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result) -> EnergyError:
     """Return the error of a result in the energy norm.
 
-    As a difference of energies it does not resolve errors below 1e-4 of the norm, where it may be 0. ValueError without
-    a mesh, for other bodies, or where the squared error comes out negative.
+    The strains are those of each element, also where the elements are smoothed. As a difference of energies it does not
+    resolve errors below 1e-4 of the norm, where it may be 0. ValueError without a mesh, for other bodies, or where the
+    squared error comes out negative.
 
     Parameters
     ----------

@@ -15,6 +15,7 @@ from adaptmg.discrete import elasticity, load_vector, smoothed, stiffness
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.smoothed import smoothed_stiffness
 from adaptmg.discrete.stress import StressData
+from adaptmg.estimate.reference_error import Reference
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.problem.loads import InitialStrain
 
@@ -151,7 +152,33 @@ def test_a_problem_has_its_elements_on_all_levels_and_in_all_that_follows_from_i
     np.testing.assert_array_equal(linear.finest.matrix.data, stiffness(linear.finest.mesh, problem.material).data)
 
 
+def energy_of(stress: np.ndarray, material) -> np.ndarray:
+    """Twice the energy density of stresses (n, 6) in plane strain, by the in-plane components."""
+    lame, shear, trace = material.lame, material.shear_modulus, stress[:, 0] + stress[:, 1]
+    squares = stress[:, 0]**2 + stress[:, 1]**2 + 2 * stress[:, 3]**2
+    return (squares - lame / (2 * (lame + shear)) * trace**2) / (2 * shear)
+
+
+@pytest.mark.parametrize(("indicator", "low", "high"), [(am.Recovery(), 0.9, 1.1), (am.Residual(), 2.5, 3.5)])
+def test_estimates_follow_the_error_of_the_stress(indicator, low, high):
+    problem = replace(am.cases.greco_bar(poisson=0.3), elements="smoothed")
+    coarse, fine = (am.Hierarchy.uniform(problem, divisions=list(divisions)) for divisions in ((4, 8, 16), (8, 32, 64)))
+    result, better = am.solve(coarse), am.solve(fine)
+    estimate = indicator.indicate(coarse, result)
+    at = better.mesh.points[better.mesh.elements].mean(axis=1)
+    error = result.stress(at) - better.stress(recovered=True)
+    true = np.sqrt(better.mesh.volumes @ energy_of(error, problem.material))
+    assert low < estimate.total / true < high
+
+
+def solved_bar() -> tuple[am.Hierarchy, am.Result]:
+    grids = am.Hierarchy.uniform(replace(am.cases.greco_bar(), elements="smoothed"), divisions=(2, 4))
+    return grids, am.solve(grids)
+
+
 test_refusals = refused(
+    (lambda: am.Goal(am.Opening("contact")).indicate(*solved_bar()), "am.Goal estimates errors of linear elements"),
+    (lambda: Reference.of(*solved_bar()), "a reference must have linear elements"),
     (lambda: replace(am.cases.greco_bar(), elements="quadratic"), r"elements must be one of 'linear', 'smoothed'"),
     (lambda: replace(am.cases.greco_bar(poisson=0.45), elements="smoothed"),
      r"poisson must be at most 0\.4 with smoothed elements, got 0\.45"))
