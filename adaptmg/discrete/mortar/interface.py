@@ -47,7 +47,7 @@ class Surfaces:
     """Two surfaces that are to be coupled."""
 
     slave_side: Surface
-    master_side: Surface  # of a body that shares no node with the slave's
+    master_side: Surface  # nodes on both, as at tips of a crack, are ordinary ones
     normals: np.ndarray  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
     excluded: np.ndarray = ()  # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
     axisymmetric: bool = False  # x is a radius; 2D only
@@ -59,16 +59,12 @@ class Surfaces:
 
     def __post_init__(self) -> None:
         points, slave_nodes, master_nodes = self.slave_side.points, self.slave_side.nodes, self.master_side.nodes
-        common = np.intersect1d(slave_nodes, master_nodes)
-        if len(common):
-            raise ValueError(f"slave and master surface share node {common[0]} {_place(points, common[0])}; they must "
-                             "belong to bodies with nodes of their own")
         carries = np.zeros(len(points), dtype=bool)
         carries[slave_nodes] = True
-        carries[np.asarray(self.excluded, dtype=np.int64)] = False
+        carries[master_nodes] = carries[np.asarray(self.excluded, dtype=np.int64)] = False
         if not carries.any():
-            raise ValueError("every node of the slave surface is excluded, which leaves none to carry contact; take "
-                             "the other surface as slave, or free some of its nodes")
+            raise ValueError("every node of the slave surface is excluded, or one of the master too, which leaves none "
+                             "to carry contact; take the other surface as slave, or free some of its nodes")
         size = float(np.linalg.norm(np.ptp(points[np.r_[slave_nodes, master_nodes]], axis=0)))
         slave, master = (np.ascontiguousarray(one.facets, dtype=np.int64) for one in (self.slave_side,
                                                                                       self.master_side))
