@@ -6,8 +6,8 @@ Problem     ContactProblem; Contact or ContactPair (obstacles Plane, GapFunction
             PointSupport, PointSpring; Pressure, Traction, BodyForce, InitialStrain; Frictionless, Coulomb, Tresca;
             LoadPath
 Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
-Domain      Rectangle, Circle, Polygon, Outline; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut, Fuse,
-            Common, Moved; Assembly of several bodies; ready problems in cases, problem data in problem
+Domain      Rectangle, Circle, Polygon, Outline, Cracked; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut,
+            Fuse, Common, Moved; Assembly of several bodies; ready problems in cases, problem data in problem
 Grids       Hierarchy (a Level for each grid): uniform, graded, from_meshes, ...; transfers Interpolation, PseudoL2, L2,
             LumpedL2, QuasiInterpolation; mesh, MeshArrays, SizeNear
 Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG; set_threads

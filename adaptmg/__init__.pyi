@@ -28,12 +28,13 @@ from .multigrid import (
 from .problem import (
     Assembly as Assembly, Axisymmetric as Axisymmetric, Ball as Ball, BodyForce as BodyForce, Box as Box,
     Circle as Circle, Common as Common, Contact as Contact, ContactPair as ContactPair,
-    ContactProblem as ContactProblem, Coulomb as Coulomb, Cut as Cut, Cylinder as Cylinder, Extrusion as Extrusion,
-    Frictionless as Frictionless, Fuse as Fuse, GapFunction as GapFunction, InitialStrain as InitialStrain,
-    LoadPath as LoadPath, Moved as Moved, Outline as Outline, Plane as Plane, PlaneStrain as PlaneStrain,
-    PlaneStress as PlaneStress, PointSpring as PointSpring, PointSupport as PointSupport, Polygon as Polygon,
-    Pressure as Pressure, Rectangle as Rectangle, Revolution as Revolution, Solid as Solid, Spring as Spring,
-    StepFile as StepFile, Support as Support, Symmetry as Symmetry, Traction as Traction, Tresca as Tresca
+    ContactProblem as ContactProblem, Coulomb as Coulomb, Cracked as Cracked, Cut as Cut, Cylinder as Cylinder,
+    Extrusion as Extrusion, Frictionless as Frictionless, Fuse as Fuse, GapFunction as GapFunction,
+    InitialStrain as InitialStrain, LoadPath as LoadPath, Moved as Moved, Outline as Outline, Plane as Plane,
+    PlaneStrain as PlaneStrain, PlaneStress as PlaneStress, PointSpring as PointSpring, PointSupport as PointSupport,
+    Polygon as Polygon, Pressure as Pressure, Rectangle as Rectangle, Revolution as Revolution, Solid as Solid,
+    Spring as Spring, StepFile as StepFile, Support as Support, Symmetry as Symmetry, Traction as Traction,
+    Tresca as Tresca
 )
 from .smoother.gauss_seidel import ProjectedGaussSeidel as ProjectedGaussSeidel
 from .smoother.system import OPEN as OPEN, SLIP as SLIP, STICK as STICK

@@ -20,7 +20,7 @@ from adaptmg._on_demand import OnDemand, made_on_demand
 from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import Assembly, ContactProblem, PointSpring, PointSupport
+from adaptmg.problem import Assembly, ContactProblem, Cracked, PointSpring, PointSupport
 from adaptmg.problem.plane_domains import Domain, with_vertex
 
 if TYPE_CHECKING:
@@ -244,8 +244,9 @@ def meshed_domain(problem: ContactProblem) -> Domain:
     """The domain of a problem, with a vertex where a point support or spring lies on a straight plane edge."""
     def cut(domain: Domain, body: str | None) -> Domain:
         for one in problem.supports:
-            if isinstance(one, PointSupport | PointSpring) and body in (None, one.body or body):
-                domain = with_vertex(domain, one.point) if domain.dim == 2 else domain
+            if isinstance(one, PointSupport | PointSpring) and body in (None, one.body or body) and domain.dim == 2:
+                domain = (replace(domain, domain=with_vertex(domain.domain, one.point)) if isinstance(domain, Cracked)
+                          else with_vertex(domain, one.point))
         return domain
 
     need_domain(problem)

@@ -1,8 +1,9 @@
-r"""of_boundary: the Delaunay triangulation of a closed boundary; nodes put into triangles.
+r"""of_boundary: the Delaunay triangulation of a closed boundary and of slits; nodes put into triangles.
 
 Put one by one into the two triangles of a box around the domain, with swaps of edges (C. L. Lawson, 1977), nodes give a
 Delaunay triangulation. Where it lacks an edge of the boundary, the triangles that this edge crosses are replaced (M. V.
-Anglada, 1997); triangles outside are dropped.
+Anglada, 1997); triangles outside are dropped. An edge of a slit is given in both directions: triangles on its two sides
+are no neighbours.
 
 Triangles and their neighbours are a closed table from the first to the last step, and no step turns a triangle over.
 """
@@ -23,8 +24,8 @@ class Untriangulated(ValueError):
     """A domain whose boundary the triangulation does not hold."""
 
 
-def of_boundary(places: np.ndarray, following: np.ndarray, spread: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangles inside a boundary, their neighbours, and which edges from each node to the next are among them. If
+def of_boundary(places: np.ndarray, edges: np.ndarray, spread: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The triangles inside a boundary of directed edges (n, 2), their neighbours, and which edges are among theirs. If
     ``spread``, every second node comes last, and so on: one after the other around a thin ring each would swap all the
     edges across it."""
     n = len(places)
@@ -34,7 +35,7 @@ def of_boundary(places: np.ndarray, following: np.ndarray, spread: bool) -> tupl
     elements, across = np.empty((2 * n + 2, 3), dtype=np.int32), np.full((2 * n + 2, 3), -1, dtype=np.int32)
     elements[:2] = [[n, n + 1, n + 2], [n, n + 2, n + 3]]
     across[0, 1], across[1, 2] = 1, 0
-    found = np.zeros(n, dtype=bool)
+    found = np.zeros(len(edges), dtype=bool)
     points, count, e = np.concatenate([places, corners]), 2, 0
     order = np.arange(n)
     if spread:
@@ -43,13 +44,19 @@ def of_boundary(places: np.ndarray, following: np.ndarray, spread: bool) -> tupl
         count, e = _put(points, elements, across, order[begin:begin + BATCH], count, e)
         if e < 0:
             raise Untriangulated(f"nodes at {places[begin:begin + 1]}")
-    at, missing = np.empty(n + 4, dtype=np.int64), np.zeros(n, dtype=bool)
+    rows = np.argsort(edges[:, 0], kind="stable")
+    tails, heads = np.ascontiguousarray(edges[rows].T)
+    start = np.searchsorted(tails, np.arange(n + 1))
+    at, missing = np.empty(n + 4, dtype=np.int64), np.zeros(len(edges), dtype=bool)
     at[elements[:count]] = np.arange(count)[:, None]
-    for begin in range(0, n, BATCH):
-        _force(points, elements, across, count, following, begin, min(n, begin + BATCH), at, missing)
+    for begin in range(0, len(edges), BATCH):
+        _force(points, elements, across, count, start, tails, heads, begin, min(len(edges), begin + BATCH), at, missing)
     if missing.any():
-        return elements, across, ~missing
-    count = _cut_out(elements, across, count, following, found)
+        found[rows] = ~missing
+        return elements, across, found
+    there = np.zeros(len(edges), dtype=bool)
+    count = _cut_out(elements, across, count, start, heads, there)
+    found[rows] = there
     return elements[:count], across[:count], found
 
 
@@ -132,13 +139,17 @@ def _put(points, elements, across, nodes, count, e):
 
 
 @inner_kernel
-def _is_edge(following, a, b):
-    """Whether nodes follow each other on the boundary."""
-    return (a < len(following) and following[a] == b) or (b < len(following) and following[b] == a)
+def _edge(start, heads, a, b):
+    """The number of the edge of the boundary from node a to node b, -1 where there is none."""
+    if a < len(start) - 1:
+        for i in range(start[a], start[a + 1]):
+            if heads[i] == b:
+                return np.int64(i)
+    return np.int64(-1)
 
 
 @inner_kernel
-def _crossed(points, elements, across, following, e, a, b, chains, outer, cells):
+def _crossed(points, elements, across, start, heads, e, a, b, chains, outer, cells):
     """Look from node a, a corner of triangle e, to node b. Fill ``cells``, the triangles between them; ``chains``, the
     nodes to the right and to the left from a to b; and ``outer``: start, end, and triangle beyond, of the sides of all
     these triangles. Returns the numbers of triangles, of nodes to the right and to the left; no triangles where the
@@ -170,8 +181,8 @@ def _crossed(points, elements, across, following, e, a, b, chains, outer, cells)
         if elements[e, 0] == b or elements[e, 1] == b or elements[e, 2] == b:
             chains[0, n_right], chains[1, n_left] = b, b
             return n, n_right + 1, n_left + 1
-        if _is_edge(following, u, v):
-            return -1, np.int64(u if following[u] == v else v), 0
+        if max(_edge(start, heads, u, v), _edge(start, heads, v, u)) >= 0:
+            return -1, np.int64(u if _edge(start, heads, u, v) >= 0 else v), 0
         e = np.int64(across[e, opposite(elements, e, u, v)])
         w = elements[e, opposite(elements, e, u, v)]
         side = turn(points, a, b, w)
@@ -209,16 +220,16 @@ def _retriangulate(points, elements, chain, m, cells, n, ranges):
 
 
 @kernel
-def _force(points, elements, across, count, following, begin, end, at, missing):
-    """Make edges from nodes to the following ones; ``at``: a triangle of each. ``missing`` becomes True for those that
+def _force(points, elements, across, count, start, tails, heads, begin, end, at, missing):
+    """Make edges from ``tails`` to ``heads``; ``at``: a triangle of each node. ``missing`` becomes True for those that
     cross others, and for these."""
     chains, outer = np.empty((2, count + 2), dtype=np.int64), np.empty((3 * count, 3), dtype=np.int64)
     cells, ranges = np.empty(count, dtype=np.int64), np.empty((count, 2), dtype=np.int64)
-    for a in range(begin, end):
-        b = following[a]
-        n, n_right, n_left = _crossed(points, elements, across, following, at[a], np.int64(a), b, chains, outer, cells)
+    for edge in range(begin, end):
+        a, b = tails[edge], heads[edge]
+        n, n_right, n_left = _crossed(points, elements, across, start, heads, at[a], a, b, chains, outer, cells)
         if n < 0:
-            missing[a] = missing[min(n_right, len(missing) - 1)] = True
+            missing[edge] = missing[min(start[min(n_right, len(start) - 1)], len(missing) - 1)] = True
         if n <= 0:
             continue
         # the left chain from b to a
@@ -248,23 +259,22 @@ def _force(points, elements, across, count, following, begin, end, at, missing):
 
 
 @kernel
-def _cut_out(elements, across, count, following, found):
-    """Drop the triangles outside. ``found`` becomes True where the edge to the following node is there. Returns how
-    many triangles are left."""
-    n = len(following)
+def _cut_out(elements, across, count, start, heads, found):
+    """Drop the triangles outside. ``found`` becomes True for the edges that are there. Returns how many triangles are
+    left."""
     # triangles to the left of edges of the boundary, and all that hang together with them
     number = np.full(count, -1, dtype=np.int32)
     queue, last = np.empty(count, dtype=np.int64), 0
     for e in range(count):
         for k in range(3):
-            a, b = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-            if a < n and following[a] == b:
-                found[a] = True
+            i = _edge(start, heads, elements[e, (k + 1) % 3], elements[e, (k + 2) % 3])
+            if i >= 0:
+                found[i] = True
                 across[e, k] = -1
                 if number[e] < 0:
                     number[e], queue[last] = 0, e
                     last += 1
-    for i in range(n):
+    for i in range(len(found)):
         if not found[i]:
             return 0
     for first in range(count):

@@ -152,9 +152,14 @@ def _spline_geometry(domain: Outline, lower: np.ndarray, scale: float, sides: Ma
     splines, which are exact circles: the middle control point is the meeting point of the tangents, at the distance
     :math:`r / \cos(\theta / 2)` from the centre."""
     geometry = SplineGeometry()
-    corners = [geometry.AppendPoint(*place) for place in (np.array(domain.vertices) - lower) / scale]
+    number = {vertex: geometry.AppendPoint(*(np.array(vertex) - lower) / scale)
+              for vertex in dict.fromkeys(domain.vertices)}
+    corners = [number[vertex] for vertex in domain.vertices]
     for i, name in enumerate(domain.boundaries):
-        options = {"leftdomain": 1, "rightdomain": 0, "bc": str(i), "maxh": sides.get(name, _NO_LIMIT)}
+        if i in domain.twins:
+            continue
+        options = {"leftdomain": 1, "rightdomain": int(i in domain.twins.values()), "bc": str(i),
+                   "maxh": sides.get(name, _NO_LIMIT)}
         first, last = corners[i], corners[domain.following[i]]
         arc = domain.arc(i)
         if arc is None:

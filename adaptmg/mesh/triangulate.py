@@ -2,7 +2,8 @@ r"""triangulated: plane domains meshed by a size field, without Netgen.
 
 Nodes are laid along the edges, the same part of :math:`\int ds / h` apart; h is lowered around short edges, and where
 the domain is thinner than edges are long: one good element fits across down to h / 64. They are triangulated
-(:mod:`adaptmg.mesh.delaunay`); chords of arcs that cross other edges are halved, and all is done again. Inside, nodes
+(:mod:`adaptmg.mesh.delaunay`) and opened along cracks (:mod:`adaptmg.mesh.slits`); chords of arcs that cross other
+edges are halved, and all is done again. Inside, nodes
 follow as long as a triangle's circumcircle is too large for the field: at its centre, or nearer to the triangle's
 shortest side, where they make an equilateral triangle with it, so that good triangles grow from the boundary. Swaps and
 moves end it.
@@ -24,6 +25,7 @@ from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.delaunay import BATCH, Untriangulated, insert, of_boundary, walk
 from adaptmg.mesh.improve import improved_triangles
 from adaptmg.mesh.netgen_plane import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
+from adaptmg.mesh.slits import opened
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.plane_edges import Arc
 
@@ -59,8 +61,8 @@ def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], gro
     middle, scale = 0.5 * (domain.lower + domain.upper), 2.0**math.frexp((domain.upper - domain.lower).max())[1]
     least = field
     for k in range(_PASSES):
-        places, counts, following, elements, across = _laid(domain, edges, field, growth, middle, scale,
-                                                            spread=k > 0 or len(domain.holes) > 0)
+        places, facets, labels, elements, across = _laid(domain, edges, field, growth, middle, scale,
+                                                         spread=k > 0 or len(domain.holes) > 0)
         feet, sizes = _thin_parts(places, elements, across)
         thin = sizes > least(feet) / _DEEPEST
         if not thin.any():
@@ -71,16 +73,18 @@ def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], gro
     points, elements = improved_triangles(points, elements, np.arange(len(points)) < len(places), _ROUNDS)
     # the boundary bit for bit
     points = np.concatenate([places, middle + scale * points[len(places):]])
-    return _mesh(domain, points, elements, following, np.repeat(np.arange(len(edges)), counts))
+    return _mesh(domain, points, elements, facets, labels)
 
 
 def _laid(domain: Outline, edges: list, field: Callable[[np.ndarray], np.ndarray], growth: float | None,
           middle: np.ndarray, scale: float, spread: bool) -> tuple[np.ndarray, ...]:
-    """Nodes along the edges, their number on each, the one after each; triangles between them and their neighbours."""
+    """Nodes along the edges, facets between them and their edges; triangles between nodes, and their neighbours."""
     fractions = _spaced(domain, edges, domain.lengths, field, growth)
     for _ in range(_CUTS):
-        places = np.concatenate([edge.at(t) for edge, t in zip(edges, fractions, strict=True)])
-        counts = np.array([len(t) for t in fractions])
+        laid = [edge.at(t) for edge, t in zip(edges, fractions, strict=True)]
+        for right, left in domain.twins.items():
+            laid[right] = np.roll(laid[left][::-1], 1, axis=0)
+        places, counts = np.concatenate(laid), np.array([len(nodes) for nodes in laid])
         first = np.cumsum(counts) - counts
         places[first] = domain.vertices
         following = np.arange(1, len(places) + 1)
@@ -90,13 +94,26 @@ def _laid(domain: Outline, edges: list, field: Callable[[np.ndarray], np.ndarray
         if not step < _RESOLVED * shortest:
             raise ValueError(f"coordinates of {domain!r} differ by {step:.1g} m at least, edges of the mesh are "
                              f"{shortest:.1g} m long; move it nearer to the origin, or take larger sizes")
-        elements, across, found = of_boundary((places - middle) / scale, following, spread)
+        facets, labels = np.column_stack([np.arange(len(places)), following]), np.repeat(np.arange(len(edges)), counts)
+        if domain.twins:
+            places, facets = _joined(places, facets)
+        elements, across, found = of_boundary((places - middle) / scale, facets, spread)
+        if found.all() and domain.twins:
+            elements, facets, is_open, origin = opened(elements, facets, len(places))
+            return places[origin], facets[is_open], labels[is_open], elements, across
         if found.all():
-            return places, counts, following, elements, across
+            return places, facets, labels, elements, across
         for i, (begin, n) in enumerate(zip(first, counts, strict=True)):
             t = fractions[i]
             fractions[i] = np.sort(np.append(t, 0.5 * (t + np.append(t[1:], 1.0))[~found[begin:begin + n]]))
     raise Untriangulated(f"edges of {domain!r} are missing")
+
+
+def _joined(places: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The places without those that come again, as on the faces of cracks, in their order, and facets between them."""
+    first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)[1:]
+    rank = np.argsort(np.argsort(first))
+    return places[np.sort(first)], rank[number.reshape(-1)[facets]]
 
 
 def _thin_parts(places: np.ndarray, elements: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -210,12 +227,11 @@ def _longer(table: np.ndarray, rows: int) -> np.ndarray:
     return result
 
 
-def _mesh(domain: Outline, points: np.ndarray, elements: np.ndarray, following: np.ndarray, edge: np.ndarray
+def _mesh(domain: Outline, points: np.ndarray, elements: np.ndarray, facets: np.ndarray, edge: np.ndarray
           ) -> MeshArrays:
-    """The mesh, its boundary from each node to the following one."""
-    mesh = MeshArrays(points, elements, np.column_stack([np.arange(len(following)), following]), edge,
-                      tuple(map(str, range(len(domain.boundaries)))))
-    (x, y), (u, v) = (points[:len(following)] - points[0]).T, (points[following] - points[0]).T
+    """The mesh, with what has been checked of its boundary."""
+    mesh = MeshArrays(points, elements, facets, edge, tuple(map(str, range(len(domain.boundaries)))))
+    (x, y), (u, v) = ((points[nodes] - points[0]).T for nodes in facets.T)
     area = 0.5 * float(np.sum(x * v - y * u))
     if not (mesh.volumes.min() > 0 and abs(mesh.volumes.sum() - area) <= 1e-9 * area):
         raise Untriangulated(f"triangles of {domain!r} are turned over")

@@ -1,6 +1,7 @@
 """Problems: materials, laws, loads, obstacles, pairs and domains as pure data in SI units, without NGSolve."""
 
 from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.problem.cracked import Cracked
 from adaptmg.problem.laws import Coulomb, Frictionless, Law, Tresca
 from adaptmg.problem.load_path import LoadPath, step_problem
 from adaptmg.problem.loads import (
@@ -31,10 +32,10 @@ from adaptmg.problem.solid_domains import (
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
 
 __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact", "ContactPair",
-           "ContactProblem", "Coulomb", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless", "Fuse",
-           "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain", "PlaneStress",
-           "PointSpring", "PointSupport", "Polygon", "Pressure", "Rectangle", "Revolution", "Solid", "Spring",
-           "StepFile", "Support", "Symmetry", "Traction", "Tresca", "step_problem"]
+           "ContactProblem", "Coulomb", "Cracked", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless",
+           "Fuse", "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",
+           "PlaneStress", "PointSpring", "PointSupport", "Polygon", "Pressure", "Rectangle", "Revolution", "Solid",
+           "Spring", "StepFile", "Support", "Symmetry", "Traction", "Tresca", "step_problem"]
 
 
 def __dir__() -> list[str]:

@@ -234,6 +234,7 @@ class Outline(Domain):
     arcs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     holes: tuple[int, ...] = ()
     dim: ClassVar[int] = 2
+    twins: ClassVar[Mapping[int, int]] = {}  # of cracks, see Slit
 
     __repr__ = brief
 
@@ -253,7 +254,8 @@ class Outline(Domain):
                 raise ValueError(f"arcs names edge {i}, but there are {len(self.vertices)} edges, counted from 0")
             self._check_arc(i)
         _ = self.area
-        check_simple(list(map(self.edge, range(len(self.vertices)))), self.boundaries, self.following)
+        check_simple(list(map(self.edge, range(len(self.vertices)))), self.boundaries, np.arange(len(self.vertices)),
+                     self.following)
         for first, last in pairwise((*holes, len(self.vertices)) if holes else ()):
             if self.winding(self.vertices[first], np.r_[0:first, last:len(self.vertices)]) != 1:
                 raise ValueError(f"holes: the hole from vertex {first} on lies outside the outer edge, or in another "
@@ -408,15 +410,18 @@ class Circle(Domain):
         return np.array([[-self.radius], [self.radius]]) + self.centre
 
 
-def with_vertex(domain: Domain, point: tuple[float, ...]) -> Domain:
-    """The plane domain with a vertex at a point of a straight edge; itself where the point lies elsewhere."""
+def with_vertex(domain: Domain, point: tuple[float, ...], arcs: bool = False) -> Domain:
+    """The plane domain with a vertex at a point of a straight edge, or of any; itself if the point lies elsewhere."""
     outline, near = domain.outline, 1e-9 * float((domain.upper - domain.lower).max())
-    away = [np.inf if i in outline.arcs else outline.edge(i).distance(np.array([point]))[0]
+    away = [np.inf if i in outline.arcs and not arcs else outline.edge(i).distance(np.array([point]))[0]
             for i in range(len(outline.vertices))]
     i = int(np.argmin(away))
     if away[i] > near or np.linalg.norm(np.array(outline.vertices) - point, axis=1).min() <= near:
         return domain
+    centres = {k + (k > i): centre for k, centre in outline.arcs.items()}
+    if (arc := outline.arc(i)) is not None:
+        point = tuple(arc.at(np.array(arc.along(np.array(point)))).tolist())
+        centres[i + 1] = arc.center
     return Outline(vertices=(*outline.vertices[:i + 1], point, *outline.vertices[i + 1:]),
-                   boundaries=(*outline.boundaries[:i + 1], *outline.boundaries[i:]),
-                   arcs={k + (k > i): centre for k, centre in outline.arcs.items()},
+                   boundaries=(*outline.boundaries[:i + 1], *outline.boundaries[i:]), arcs=centres,
                    holes=tuple(k + (k > i) for k in outline.holes))

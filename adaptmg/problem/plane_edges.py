@@ -121,17 +121,17 @@ def _both_sides(foot: np.ndarray, along: np.ndarray, radius: float, distance: fl
     return [foot - half * along, foot + half * along]
 
 
-def check_simple(edges: Sequence[Segment | Arc], names: Sequence[str], following: np.ndarray) -> None:
-    """ValueError if edges, of which each is followed by another one, cross, touch, fold back, or are too short."""
-    ends = np.array([edge.at(np.array([0.0, 1.0])) for edge in edges])
+def check_simple(edges: Sequence[Segment | Arc], names: Sequence[str], first: np.ndarray, last: np.ndarray,
+                 what: str = "vertices") -> None:
+    """ValueError if edges from vertices ``first`` to ``last``, by number, are too short, or meet elsewhere."""
+    a, b = np.array([edge.at(np.array([0.0, 1.0])) for edge in edges]).transpose(1, 0, 2)
     straight = np.array([isinstance(edge, Segment) for edge in edges])
-    a, b = ends[:, 0], ends[following, 0]
     # an arc is shorter than a half circle: it lies in the box around its ends grown by their distance
     lengths = np.linalg.norm(b - a, axis=1)
     extent = float(np.ptp(a, axis=0).max())
     k = int(np.argmin(lengths))
     if not lengths[k] > _SHORTEST * extent:
-        raise ValueError(f"vertices: edge {k} ({names[k]!r}) must be longer than {_SHORTEST:g} of the extent, got "
+        raise ValueError(f"{what}: edge {k} ({names[k]!r}) must be longer than {_SHORTEST:g} of the extent, got "
                          f"{lengths[k] / extent:.2g}")
     low, high = (pick(a, b) + sign * np.where(straight, 0.0, lengths)[:, None]
                  for pick, sign in ((np.minimum, -1), (np.maximum, 1)))
@@ -139,17 +139,18 @@ def check_simple(edges: Sequence[Segment | Arc], names: Sequence[str], following
     tiny = _ROUND * extent
     near = ((low[i] <= high[j] + tiny) & (low[j] <= high[i] + tiny)).all(axis=1)
     i, j = i[near], j[near]
-    simple = straight[i] & straight[j] & (following[i] != j) & (following[j] != i)
+    common = np.stack([x[i] == y[j] for x in (first, last) for y in (first, last)])
+    simple = straight[i] & straight[j] & ~common.any(axis=0)
     bad = np.zeros(len(i), dtype=bool)
     m, n = i[simple], j[simple]
     bad[simple] = ((_side(a[m], b[m], a[n]) * _side(a[m], b[m], b[n]) < 0)
                    & (_side(a[n], b[n], a[m]) * _side(a[n], b[n], b[m]) < 0)) | (_apart(a, b, m, n) <= tiny)
     for k in np.flatnonzero(~simple):
-        shared = [a[y] for x, y in ((i[k], j[k]), (j[k], i[k])) if following[x] == y]
+        shared = [end[i[k]] for end, there in ((a, common[:2, k]), (b, common[2:, k])) if there.any()]
         bad[k] = _meet(edges[i[k]], edges[j[k]], shared, tiny)
     if bad.any():
         k = int(np.argmax(bad))
-        raise ValueError(f"vertices: edges {i[k]} ({names[i[k]]!r}) and {j[k]} ({names[j[k]]!r}) meet; a boundary must "
+        raise ValueError(f"{what}: edges {i[k]} ({names[i[k]]!r}) and {j[k]} ({names[j[k]]!r}) meet; a boundary must "
                          "not cross itself, or fold back")
 
 

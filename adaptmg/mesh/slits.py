@@ -1,0 +1,109 @@
+r"""split and opened: meshes cut open along facets inside them, the two faces of a crack.
+
+A facet of a slit stands twice among the facets of the boundary, once in each orientation. The corners that elements
+have at a node of the slit hang together through all other facets there; each connected set of them gets a node: a node
+between k facets of slits in the plane becomes k nodes, one at a tip stays one. No geometry is needed, so that kinks and
+branches need no care. A facet with all its nodes at tips stays closed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, same_orientation
+from adaptmg.mesh.soundness import check_mesh, with_source
+
+
+def opened(elements: np.ndarray, facets: np.ndarray, n_nodes: int
+           ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Elements and facets whose nodes are doubled along facets that stand twice; which of the facets are open; and the
+    old node that each new one comes from. ValueError where such a facet is not inside the mesh."""
+    keys = facet_keys(facets, n_nodes)
+    slit, counts = np.unique(keys, return_counts=True)
+    slit = slit[counts > 1]
+    at_slit, k = np.zeros(n_nodes, dtype=bool), elements.shape[1]
+    at_slit[facets[np.isin(keys, slit)]] = True
+    near = np.flatnonzero(at_slit[elements].any(axis=1))
+    cells = elements[near]
+    table = facet_table(cells, n_nodes)
+    rows = table.find(slit)
+    if (rows < 0).any() or (table.second[rows] < 0).any():
+        raise ValueError("facets of a slit must lie between two elements")
+
+    def corners(cell: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        return k * cell + np.argmax(cells[cell] == nodes[:, None], axis=1)
+
+    joined = np.flatnonzero((table.second >= 0) & ~np.isin(table.keys, slit))
+    a, b = (np.concatenate([corners(cell[joined], nodes) for nodes in table.facets[joined].T])
+            for cell in (table.first, table.second))
+    part = connected_components(sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(cells.size,) * 2))[1]
+    node = cells.astype(np.int64).ravel()
+    pairs, number = np.unique(np.where(at_slit[node], part, cells.size) * n_nodes + node, return_inverse=True)
+    origin = pairs % n_nodes
+    again = np.ones(len(pairs), dtype=bool)
+    again[np.unique(origin, return_index=True)[1]] = False
+    new = np.where(again, n_nodes + np.cumsum(again) - 1, origin)[number].reshape(cells.shape)
+    result, sides = np.array(elements), np.array(facets)
+    result[near] = new
+    touched = np.flatnonzero(at_slit[facets].any(axis=1))
+    row = table.find(keys[touched])
+    own = np.where(same_orientation(facets[touched], table.facets[row]), table.first[row], table.second[row])
+    sides[touched] = np.stack([new.ravel()[corners(own, nodes)] for nodes in facets[touched].T], axis=1)
+    origin = np.concatenate([np.arange(n_nodes), origin[again]])
+    closed, counts = np.unique(facet_keys(sides, len(origin)), return_counts=True)
+    return result, sides, ~np.isin(facet_keys(sides, len(origin)), closed[counts > 1]), origin
+
+
+def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArrays:
+    """Cut a mesh open along facets inside it.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+    facets : (n, dim) array of int
+        Nodes of facets between two elements of one body, oriented as outward facets of the left face: in 2D along the
+        path, in 3D counter-clockwise as seen from the right.
+    name : str
+        The new boundaries are called "name.left" and "name.right".
+
+    Returns
+    -------
+    MeshArrays
+        With its old nodes first, then one more for each node that the slit doubles; nodes at its tips (in 3D along its
+        front) stay single, and so does a facet that has all its nodes there.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Where facets are not inside the mesh, nothing opens, or the body falls apart.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 4)
+    >>> cracked = am.mesh.split(mesh, [[11, 12], [12, 13]])
+    >>> cracked.n_nodes - mesh.n_nodes, cracked.boundaries[-2:]
+    (1, ('crack.left', 'crack.right'))
+    """
+    check_mesh(mesh)
+    along = check_arrays.array("facets", facets, (None, mesh.dim), integer=True)
+    if not len(along) or along.min() < 0 or along.max() >= mesh.n_nodes:
+        raise ValueError(f"facets must hold nodes from 0 to {mesh.n_nodes - 1}, a row a facet, got "
+                         f"{checks.shown(facets)}")
+    names = tuple(f"{checks.boundary_name('name', name)}.{side}" for side in ("left", "right"))
+    if taken := sorted(set(names) & set(mesh.boundaries)):
+        raise ValueError(f"name: the mesh has a boundary {taken[0]!r} already")
+    every = np.concatenate([mesh.facets, along, along[:, ::-1]])
+    first = len(mesh.boundaries)
+    labels = np.concatenate([mesh.facet_labels, np.repeat([first, first + 1], len(along))])
+    elements, sides, is_open, origin = opened(mesh.elements, every, mesh.n_nodes)
+    if not is_open[len(mesh.facets):].any():
+        raise ValueError("facets: nothing opens, as all their nodes are at tips; a crack needs two edges at least")
+    return with_source(replace(mesh, points=mesh.points[origin], elements=elements, facets=sides[is_open],
+                               facet_labels=labels[is_open], boundaries=(*mesh.boundaries, *names), source=None))

@@ -1,0 +1,45 @@
+"""Cracks whose faces touch: what passes through them, what stays apart, and the factors at their tips."""
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+
+P = 1e-3
+
+
+def corners(angle, shift, half=1.0):
+    c, s = np.cos(angle), np.sin(angle)
+    return (half * np.array([(-2, -1.5), (2, -1.5), (2, 1.5), (-2, 1.5)]) @ [[c, s], [-s, c]] + shift).tolist()
+
+
+def squeezed(rng, paths, coupling="mortar"):
+    """A plate that is turned and moved, with cracks at paths before that, under equal pressure from all sides."""
+    angle, shift = rng.uniform(0, 7), rng.uniform(-5, 5, 2)
+    c, s = np.cos(angle), np.sin(angle)
+    around = corners(angle, shift)
+    domain = am.Cracked(am.Polygon(vertices=around, boundaries=tuple("abcd")),
+                        {name: np.array(path) @ [[c, s], [-s, c]] + shift for name, path in paths.items()})
+    return am.ContactProblem(
+        domain=domain, material=am.PlaneStrain(young=1.0, poisson=0.3), law=am.Coulomb(0.3),
+        contact=tuple(am.ContactPair(f"{name}.left", f"{name}.right", coupling=coupling) for name in paths),
+        loads=tuple(am.Pressure(name, P) for name in "abcd"),
+        supports=(am.PointSupport(around[0], x=0, y=0), am.PointSupport(around[1], y=0)))
+
+
+STRAIGHT = {"inner": [(-1, 0.5), (0, 0.7)], "edge": [(1, -1.5), (1.1, -0.5)]}
+KINKED = STRAIGHT | {"inner": [(-1, 0.5), (0, 0.7), (0.5, 0)], "branch": [(0, 0.7), (0.2, 1.2)]}
+
+
+@pytest.mark.parametrize(("coupling", "paths"), [("nodes", STRAIGHT), ("mortar", KINKED)])
+def test_closed_cracks_pass_pressure_on(coupling, paths):
+    problem = squeezed(np.random.default_rng(), paths, coupling)
+    grids = am.Hierarchy.graded(problem, (0.4, 0.2), 2)
+    result = am.solve(grids, am.Multigrid(rtol=1e-10))
+    stress = result.stress()
+    np.testing.assert_allclose(stress[:, :2], -P, rtol=1e-8)
+    np.testing.assert_allclose(stress[:, 3], 0, atol=1e-8 * P)
+    np.testing.assert_allclose(result.contact.pressure, P, rtol=1e-8)
+    for name in paths:
+        left, right = (grids.finest.mesh.boundary_nodes(f"{name}.{side}") for side in ("left", "right"))
+        assert not np.isin(result.contact.node, np.intersect1d(left, right)).any()
