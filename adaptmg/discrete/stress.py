@@ -98,7 +98,9 @@ class StressData:
     kind: np.ndarray  # (n_bodies,) int8: 0 for plane strain and solids, 1 for plane stress, 2 for axisymmetric bodies
     initial_strain: np.ndarray  # (n_elements, 3), or (0, 3) for none
     smoothed: bool = False  # whether the elements are
-    pressures: np.ndarray | None = None  # (n_elements, dim + 1): of groups of nodes, at corners, tension positive, Pa
+    # of groups of nodes (adaptmg.discrete.volumes), if there are any
+    pressure: np.ndarray | None = None  # (n_elements,): mean of the corners, tension positive, Pa
+    volume_energy: float = 0.0  # J (plane: J/m)
 
     @classmethod
     def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = (), elements: str = "linear"
@@ -152,11 +154,7 @@ class StressData:
             body, lame = mesh.element_body, edge_lame(self.lame, self.shear)
             density = (lame[body] * np.trace(elastic, axis1=1, axis2=2) * np.trace(means, axis1=1, axis2=2)
                        + 2 * self.shear[body] * np.einsum("nij,nij->n", means, elastic))
-            if self.pressures is not None:
-                rest = self.lame - lame
-                softness = np.divide(1.0, rest, out=np.zeros_like(rest), where=rest > 0)
-                density += softness[body] * np.mean(self.pressures**2, axis=1)
-            return 0.5 * float(volume @ density)
+            return 0.5 * float(volume @ density) + self.volume_energy
         if not self.axisymmetric:
             return 0.5 * float(np.einsum("n,nij,nij", mesh.volumes, self._stress(mesh, elastic), elastic))
         total, (rule, weights) = 0.0, quadrature_rule(3, AXISYMMETRIC_DEGREE)
@@ -191,8 +189,8 @@ class StressData:
             trace = smoothed(mesh, trace[:, None], element_measures(mesh, self.axisymmetric))[:, 0]
             lame = edge_lame(lame, self.shear)
         isotropic = lame[body] * trace
-        if self.pressures is not None:
-            isotropic = isotropic + self.pressures.mean(axis=1)
+        if self.pressure is not None:
+            isotropic += self.pressure
         stress[:, diagonal, diagonal] += isotropic[:, None]
         stress[(self.kind == _THIN)[body], 2, 2] = 0.0
         return stress
