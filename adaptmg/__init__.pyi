@@ -30,11 +30,11 @@ from .problem import (
     Circle as Circle, Common as Common, Contact as Contact, ContactPair as ContactPair,
     ContactProblem as ContactProblem, Coulomb as Coulomb, Cracked as Cracked, Cut as Cut, Cylinder as Cylinder,
     Extrusion as Extrusion, Frictionless as Frictionless, Fuse as Fuse, GapFunction as GapFunction,
-    InitialStrain as InitialStrain, LoadPath as LoadPath, Moved as Moved, Outline as Outline, Plane as Plane,
-    PlaneStrain as PlaneStrain, PlaneStress as PlaneStress, PointSpring as PointSpring, PointSupport as PointSupport,
-    Polygon as Polygon, Pressure as Pressure, Rectangle as Rectangle, Revolution as Revolution, Solid as Solid,
-    Spring as Spring, StepFile as StepFile, Support as Support, Symmetry as Symmetry, Traction as Traction,
-    Tresca as Tresca
+    InitialStrain as InitialStrain, LoadPath as LoadPath, Moved as Moved, Moving as Moving, Outline as Outline,
+    Plane as Plane, PlaneStrain as PlaneStrain, PlaneStress as PlaneStress, PointSpring as PointSpring,
+    PointSupport as PointSupport, Polygon as Polygon, Preload as Preload, Pressure as Pressure,
+    Rectangle as Rectangle, Revolution as Revolution, Rigid as Rigid, Solid as Solid, Spring as Spring,
+    StepFile as StepFile, Support as Support, Symmetry as Symmetry, Traction as Traction, Tresca as Tresca
 )
 from .smoother.gauss_seidel import ProjectedGaussSeidel as ProjectedGaussSeidel
 from .smoother.system import OPEN as OPEN, SLIP as SLIP, STICK as STICK

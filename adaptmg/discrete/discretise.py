@@ -49,7 +49,8 @@ from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem, check_law
 from adaptmg.problem.laws import Law
 from adaptmg.problem.load_path import DEFAULT, name_in_path
-from adaptmg.problem.loads import InitialStrain
+from adaptmg.problem.loads import InitialStrain, Preload
+from adaptmg.problem.moving import Moving, Obstacle, Rigid
 from adaptmg.problem.surfaces import ContactPair
 
 _LOG = logging.getLogger(__name__)
@@ -250,11 +251,32 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
                               for name in ("normals", "weights", "gaps"))
     if slip_reference is not None:
         slip_reference = check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
+    slip_reference = _with_motions(problem, mesh.points[nodes], boundary, slip_reference)
     contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
                            slip_reference=slip_reference,
-                           allow_interference=any(contact.allow_interference for contact in problem.contact),
+                           allow_interference=any(map(_may_overlap, problem.contact)),
                            names=problem.contact_boundaries, masters=problem.masters)
     return contact, _followed(parts, mesh.n_nodes)
+
+
+def _may_overlap(contact: Contact | ContactPair) -> bool:
+    return contact.allow_interference or (isinstance(contact, Contact) and isinstance(_first(contact), Moving))
+
+
+def _first(contact: Contact) -> Obstacle:
+    """The obstacle in the place of a discretisation: moved as it is told, not yet pressed."""
+    return contact.obstacle.obstacle if isinstance(contact.obstacle, Rigid) else contact.obstacle
+
+
+def _with_motions(problem: ContactProblem, points: np.ndarray, boundary: np.ndarray, reference: np.ndarray | None
+                  ) -> np.ndarray | None:
+    """The slip reference (n_contact, dim) with how obstacles move, None where nothing does."""
+    for k, contact in enumerate(problem.contact):
+        obstacle = None if isinstance(contact, ContactPair) else _first(contact)
+        if isinstance(obstacle, Moving):
+            reference, own = np.zeros_like(points) if reference is None else reference.copy(), boundary == k
+            reference[own] += obstacle.motion(points[own])
+    return reference
 
 
 def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | None:
@@ -276,11 +298,11 @@ def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, su
         averaged = slave_normals(surfaces[k], fixed)[nodes]
     except ValueError as error:
         raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
-    normals, gaps = _facing(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
+    normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
     gaps = np.array(gaps, dtype=np.float64)
     if len(nodes) and gaps.min() < 0:
         gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
-    if len(nodes) and gaps.min() < 0 and not contact.allow_interference:
+    if len(nodes) and gaps.min() < 0 and not _may_overlap(contact):
         deepest = int(np.argmin(gaps))
         raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
                          f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
@@ -307,7 +329,9 @@ def _lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.n
     return weights
 
 
-def _facing(obstacle: object, boundary: str, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, normals: np.ndarray
+                    ) -> tuple[np.ndarray, np.ndarray]:
+    """What an obstacle, perhaps user-defined, says of points of a boundary, checked."""
     answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
         raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")
@@ -360,12 +384,12 @@ class Stops:
         """The nodes of a mesh whose normal displacement the dofs ``fixed`` (n_dofs,) prescribe."""
         parts, held = [], fixed.reshape(-1, mesh.dim)
         for contact in problem.contact:
-            if isinstance(contact, ContactPair) or contact.allow_interference:
+            if isinstance(contact, ContactPair) or _may_overlap(contact):
                 continue
             surface = mesh.surface(contact.boundary)
             nodes = surface.nodes[held[surface.nodes].any(axis=1)]
             if len(nodes):
-                normals, gaps = _facing(contact.obstacle, contact.boundary, mesh.points[nodes],
+                normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes],
                                         slave_normals(surface, held)[nodes])
                 whole = np.linalg.norm(np.where(held[nodes], 0.0, normals), axis=1) <= _TANGENTIAL
                 parts.append((mesh.dim * nodes[whole, None] + np.arange(mesh.dim), normals[whole], gaps[whole],
@@ -441,7 +465,8 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
     """The loads and supports of a problem one by one."""
     loads, strains, strain_loads = {}, {}, {}
     for name in dict.fromkeys(map(name_in_path, problem.loads)):
-        named = [load for load in problem.loads if name_in_path(load) == name]
+        named = [load.shortening(mesh.dim) if isinstance(load, Preload) else load for load in problem.loads
+                 if name_in_path(load) == name]
         forces = load_vector(mesh, named, problem.material, problem.elements)
         loads[name] = discrete.relative_forces(forces)
         if (own := [load for load in named if isinstance(load, InitialStrain)]):

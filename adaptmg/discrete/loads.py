@@ -30,7 +30,17 @@ from adaptmg.discrete.smoothed import element_measures, smoothed, smoothed_stiff
 from adaptmg.discrete.supports import node_at
 from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSpring, Pressure, Spring, Traction
+from adaptmg.problem.loads import (
+    AnySupport,
+    BodyForce,
+    InitialStrain,
+    Load,
+    PointSpring,
+    Preload,
+    Pressure,
+    Spring,
+    Traction,
+)
 from adaptmg.problem.materials import Elastic, PlaneStress
 
 
@@ -52,6 +62,8 @@ def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | N
             if materials is None:
                 raise ValueError(f"the load of {load!r} depends on the elastic constants: give material")
             result += initial_strain_load(mesh, load, materials, elements)
+        elif isinstance(load, Preload):
+            continue  # its strain is to be found
         elif isinstance(load, BodyForce):
             here = slice(None) if load.body is None else body_elements(mesh, load.body)
             _add(result, mesh, mesh.elements[here], mesh.volumes[here], load, axisymmetric)

@@ -193,6 +193,17 @@ class DiscreteProblem(Unknowns):
             object.__setattr__(result, name, value)
         return result
 
+    def facing(self, contact: ContactNodes, exchange: Exchange | None) -> DiscreteProblem:
+        """The same with contact in other directions."""
+        result = self.posing(contact=contact, exchange=exchange)
+        result._check_fixed_at_contact()
+        result._complete()
+        return result
+
+    def alike(self, other: DiscreteProblem) -> bool:
+        """Whether matrix, fixed dofs, contact nodes and normals are those of another one."""
+        return self._structure is other._structure
+
     def __post_init__(self) -> None:
         checks.instance("contact", self.contact, ContactNodes, "ContactNodes(...)")
         check_law(self.law)

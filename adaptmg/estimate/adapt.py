@@ -30,6 +30,8 @@ from adaptmg.level import need_domain
 from adaptmg.mesh.grading import measures
 from adaptmg.mesh.netgen_guard import MAX_NODES
 from adaptmg.problem import ContactProblem, LoadPath
+from adaptmg.problem.load_path import obstacles_in_path
+from adaptmg.solver.controls import by_force
 from adaptmg.solver.store import StepStore
 
 if TYPE_CHECKING:
@@ -119,6 +121,7 @@ def adapt(problem: ContactProblem,
     _check(parts)
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "what is being done (or a bool)")
+    _check_obstacles(problem, load_path)
     first = _first_hierarchy(problem, start, transfer, engine, limits)
     steps = None
     if store is not None:
@@ -128,6 +131,15 @@ def adapt(problem: ContactProblem,
         steps = StepStore.resumed(store, "loop.json", head, LOOP_KINDS)
     report = _written if progress is True else progress or None
     return cast("Iterator[Step[Found]]", AdaptiveLoop(first, parts, limits, steps, report).steps())
+
+
+def _check_obstacles(problem: ContactProblem, path: LoadPath | None) -> None:
+    if by_force(problem):
+        raise ValueError("problem has a Rigid obstacle or a Preload, which the estimates do not account for: give "
+                         "am.adapt the motion that am.solve finds (Result.motions) as Moving or InitialStrain")
+    if path is not None and obstacles_in_path(problem):
+        raise ValueError("problem has an obstacle that moves along load_path, which the estimates do not account for: "
+                         "leave load_path out, and give Moving the motion at its end")
 
 
 def _written(row: dict[str, float | str]) -> None:

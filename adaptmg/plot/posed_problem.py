@@ -285,7 +285,7 @@ def _legend(posed: ContactProblem, ax: Axes, bodies: Sequence[str], fills: Seque
     entries += [(Line2D([], [], color=style.BLUE), f"{_surface_text(load, traction)} on {style.quoted(load.boundary)}")
                 for load, traction in acting]
     entries += [(Line2D([], [], color=style.BLUE, linestyle=":"), _volume_text(load, axes)) for load in posed.loads
-                if isinstance(load, loads.BodyForce | loads.InitialStrain)]
+                if isinstance(load, loads.BodyForce | loads.InitialStrain | loads.Preload)]
     used = {name for name, *_ in _uses(posed)} | {load.boundary for load, _ in acting}
     if len(bodies) == 1 and (free := [style.quoted(name) for name in boundaries if name not in used]):
         entries.append((Patch(facecolor=style.PALE, edgecolor=style.INK), f"free: {', '.join(free)}"))
@@ -336,9 +336,11 @@ def _surface_text(load: SurfaceLoad, traction: np.ndarray) -> str:
     return f"{'p' if pressure else '|t|'} {relation} {_value(value, 'Pa')}"
 
 
-def _volume_text(load: loads.BodyForce | loads.InitialStrain, axes: str) -> str:
+def _volume_text(load: loads.BodyForce | loads.InitialStrain | loads.Preload, axes: str) -> str:
     """The load in a body: 'body force (0, 3) kN/m³ in 'rod''."""
     where = "" if load.body is None else f" in {style.quoted(load.body)}"
+    if isinstance(load, loads.Preload):
+        return f"preload {_value(load.force, 'N')}{where}"
     if isinstance(load, loads.InitialStrain):
         parts = [f"$\\varepsilon_{axis}$ = {_value(value)}"
                  for axis, value in zip(axes, load.components, strict=False) if callable(value) or value != 0]

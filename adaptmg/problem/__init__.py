@@ -9,6 +9,7 @@ from adaptmg.problem.loads import (
     InitialStrain,
     PointSpring,
     PointSupport,
+    Preload,
     Pressure,
     Spring,
     Support,
@@ -16,6 +17,7 @@ from adaptmg.problem.loads import (
     Traction,
 )
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStrain, PlaneStress, Solid
+from adaptmg.problem.moving import Moving, Rigid
 from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import (
     Assembly,
@@ -33,9 +35,10 @@ from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
 
 __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact", "ContactPair",
            "ContactProblem", "Coulomb", "Cracked", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless",
-           "Fuse", "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Outline", "Plane", "PlaneStrain",
-           "PlaneStress", "PointSpring", "PointSupport", "Polygon", "Pressure", "Rectangle", "Revolution", "Solid",
-           "Spring", "StepFile", "Support", "Symmetry", "Traction", "Tresca", "step_problem"]
+           "Fuse", "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Moving", "Outline", "Plane",
+           "PlaneStrain", "PlaneStress", "PointSpring", "PointSupport", "Polygon", "Preload", "Pressure", "Rectangle",
+           "Revolution", "Rigid", "Solid", "Spring", "StepFile", "Support", "Symmetry", "Traction", "Tresca",
+           "step_problem"]
 
 
 def __dir__() -> list[str]:

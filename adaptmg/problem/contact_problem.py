@@ -9,14 +9,15 @@ from typing import Any, get_args
 from adaptmg import _checks as checks
 from adaptmg._text import brief, html_fields
 from adaptmg.problem.laws import Law
-from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Pressure, Traction
+from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Preload, Pressure, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStress
+from adaptmg.problem.moving import Moving, Obstacle, Rigid
 from adaptmg.problem.plane_domains import Domain
-from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
+from adaptmg.problem.surfaces import ContactPair, Plane
 
 CONTACT = "contact"  # name of all contact boundaries together
 _MOST_STIFFER = 1e15  # between the Young's moduli of two bodies
-_LOADS = (Pressure, Traction, BodyForce, InitialStrain)
+_LOADS = (Pressure, Traction, BodyForce, InitialStrain, Preload)
 ELEMENTS = ("linear", "smoothed")
 _MOST_POISSON = 0.4  # of smoothed elements
 
@@ -36,8 +37,8 @@ class Contact:
     ----------
     boundary : str
         Name of the contact boundary.
-    obstacle : Plane or GapFunction
-        What it may touch.
+    obstacle : Plane, GapFunction, Moving, Rigid or user-defined
+        What it may touch; a user-defined one offers ``contact`` as :meth:`Plane.contact`.
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
 
@@ -48,7 +49,7 @@ class Contact:
     """
 
     boundary: str
-    obstacle: Plane | GapFunction
+    obstacle: Obstacle
     allow_interference: bool = False
 
     def __post_init__(self) -> None:
@@ -72,7 +73,7 @@ class ContactProblem:
     contact : Contact, ContactPair or sequence of them
     law : Frictionless, Tresca, Coulomb or user-defined
         The same on all contact boundaries (its parameters may vary in space).
-    loads : sequence of Pressure, Traction, BodyForce, InitialStrain
+    loads : sequence of Pressure, Traction, BodyForce, InitialStrain, Preload
     supports : sequence of Support, Symmetry, PointSupport, Spring, PointSpring
     domain : Domain, optional
         The geometry: Rectangle, Box, Polygon, Outline, Assembly, ...; not needed when every mesh is given by the user.
@@ -122,7 +123,12 @@ class ContactProblem:
         checks.boundary_name("name", self.name)
         checks.instance("reference", self.reference, Mapping, "a mapping of names to values")
         for load in self.loads:
-            if not isinstance(load, Pressure) and len(load.components) != self.dim and not (
+            if isinstance(load, Preload):
+                if "xyz".index(load.axis) >= self.dim or (self.axisymmetric and load.axis != "y"):
+                    raise ValueError(f"axis of the preload of {load.body!r} must be "
+                                     + ("'y' in axisymmetry" if self.axisymmetric else "'x' or 'y' in the plane")
+                                     + f", got {load.axis!r}")
+            elif not isinstance(load, Pressure) and len(load.components) != self.dim and not (
                     isinstance(load, InitialStrain) and self.dim == 2):
                 raise ValueError(f"{checks.shown(load)} has {len(load.components)} components in a {self.dim}D problem")
         for support in self.supports:
@@ -254,5 +260,6 @@ def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int) -> None
         if isinstance(c, ContactPair) and c.master in names and c.master not in rigid:
             raise ValueError(f"boundary {c.master!r} is the master of {c.slave!r} and slave of another pair: "
                              "swap slave and master in one of the pairs, or cut the boundary in two")
-        if isinstance(c, Contact) and isinstance(c.obstacle, Plane) and c.obstacle.dim != dim:
-            raise ValueError(f"the plane in front of {c.boundary!r} is {c.obstacle.dim}D, the material {dim}D")
+        if isinstance(c, Contact) and isinstance(c.obstacle, Plane | Moving | Rigid) and c.obstacle.dim != dim:
+            raise ValueError(f"the {type(c.obstacle).__name__} in front of {c.boundary!r} is {c.obstacle.dim}D, the "
+                             f"material {dim}D")

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
-from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSupport, Pressure, Support
+from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSupport, Preload, Pressure, Support
+from adaptmg.problem.moving import moving_parts
 
 BODY_FORCE = "body force"  # name of body forces that act on all bodies
 DEFAULT = "default"  # name of all loads together, where no ContactProblem names them
@@ -24,6 +25,7 @@ DEFAULT = "default"  # name of all loads together, where no ContactProblem names
 Field = float | Callable[[np.ndarray], np.ndarray]
 
 _ROUNDING = 1e-14
+_OF_BODIES = BodyForce | InitialStrain | Preload
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +96,8 @@ class LoadPath:
 
 def name_in_path(item: Load | AnySupport) -> str:
     """The name under which a path scales a load or support."""
+    if isinstance(item, Preload):
+        return item.path_name
     if isinstance(item, InitialStrain):
         return item.body
     if isinstance(item, BodyForce):
@@ -104,13 +108,27 @@ def name_in_path(item: Load | AnySupport) -> str:
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
     """Names of all loads and of the supports that prescribe a displacement other than zero, each once."""
     moved = [s for s in problem.supports if any(s.components(problem.dim))]
-    bodies = {name_in_path(load) for load in problem.loads if isinstance(load, BodyForce | InitialStrain)}
-    rest = [name_in_path(item) for item in (*problem.loads, *moved) if not isinstance(item, BodyForce | InitialStrain)]
+    bodies = {name_in_path(load) for load in problem.loads if isinstance(load, _OF_BODIES)}
+    rest = [name_in_path(item) for item in (*problem.loads, *moved) if not isinstance(item, _OF_BODIES)]
     for name in rest:
         if name in bodies:
             raise ValueError(f"{name!r} is the name of a body and of a boundary that both carry loads: a path could "
                              "not tell them apart; rename one")
-    return tuple(dict.fromkeys([*map(name_in_path, problem.loads), *rest]))
+    named = [*map(name_in_path, problem.loads), *rest]
+    for name in obstacles_in_path(problem):
+        if name in named:
+            raise ValueError(f"{name!r} is the name of an obstacle and of a load or support: give one name=")
+    return tuple(dict.fromkeys([*named, *obstacles_in_path(problem)]))
+
+
+def obstacles_in_path(problem: ContactProblem) -> list[str]:
+    """Names of the obstacles that move."""
+    named = [one.name for contact in problem.contact if isinstance(contact, Contact)
+             for one in moving_parts(contact.obstacle)]
+    for name in named:
+        if named.count(name) > 1:
+            raise ValueError(f"{name!r} is the name of two moving obstacles: give each a name= of its own")
+    return named
 
 
 def _factors(name: str, value: ArrayLike) -> np.ndarray:

@@ -6,7 +6,7 @@ Values are numbers, or vectorised functions of position (n, dim) -> (n,).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -130,7 +130,66 @@ class InitialStrain:
         checks.convert(self, _components, "components")
 
 
-Load = Pressure | Traction | BodyForce | InitialStrain
+@dataclass(frozen=True, kw_only=True)
+class Preload:
+    """The force with which a bolt is tightened.
+
+    An initial strain along the axis shortens the body until a cut across it carries the force;
+    :func:`adaptmg.solve_path` finds it, and ``Result.motions`` has it. In a load path the force is reached in steps
+    that change its factor; where the factor stays the bolt keeps its length, and its force follows the other loads.
+
+    Parameters
+    ----------
+    body : str
+        Name of the body, given by position or name.
+    force : float
+        Tension across the cut, N (plane: N/m; axisymmetric: of the whole section), > 0.
+    axis : {"x", "y", "z"}
+        The direction of the force; in axisymmetric problems "y".
+    at : float, optional
+        Where the cut is, by its coordinate along the axis, m; default the middle of the body.
+    name : str, optional
+        In load paths; default the body's.
+
+    Examples
+    --------
+    >>> am.Preload("bolt", force=2e4, axis="y").force
+    20000.0
+    """
+
+    body: str = field(kw_only=False)
+    force: float
+    axis: str
+    at: float | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("body", self.body)
+        checks.convert(self, checks.quantity, "force", positive=True)
+        checks.choice("axis", self.axis, ("x", "y", "z"))
+        if self.at is not None:
+            checks.convert(self, checks.quantity, "at")
+        if self.name is not None:
+            checks.boundary_name("name", self.name)
+
+    @property
+    def path_name(self) -> str:
+        """The name in load paths."""
+        return self.name or self.body
+
+    @property
+    def direction(self) -> int:
+        """The number of the axis."""
+        return "xyz".index(self.axis)
+
+    def shortening(self, dim: int) -> InitialStrain:
+        """The initial strain that shortens the body by its whole length."""
+        components = [0.0] * dim
+        components[self.direction] = -1.0
+        return InitialStrain(self.body, tuple(components))
+
+
+Load = Pressure | Traction | BodyForce | InitialStrain | Preload
 
 
 class _Holds:

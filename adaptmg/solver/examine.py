@@ -52,6 +52,8 @@ class Examiner:
 
     def at_step(self, discrete: DiscreteProblem) -> Examiner:
         """The examiner of the same bodies under other data (a load step)."""
+        if not discrete.alike(self.discrete):
+            return Examiner(discrete)
         result = copy.copy(self)
         result.discrete, result._last = discrete, None
         result.contact, _ = local_contact(discrete)

@@ -25,18 +25,26 @@ from adaptmg._blas import one_blas_thread
 from adaptmg._files import make_folder
 from adaptmg._text import html_table, in_html_lines, say, shortened
 from adaptmg.discrete.discretise import LoadSteps, load_steps, whole_load
+from adaptmg.discrete.moving_obstacles import moved
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_path, advise_on_problem, once
+from adaptmg.solver.controls import Controls
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
+from adaptmg.solver.outcome import (
+    checked_outcome,
+    displacement_argument,
+    grids_argument,
+    method_argument,
+    result_of,
+)
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import KINDS, NotConverged, Result
-from adaptmg.solver.solve import checked_outcome, displacement_argument, grids_argument, method_argument, result_of
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
 from adaptmg.solver.store import StepStore, damage, fingerprint
 from adaptmg.solver.truncated import Truncated
@@ -264,6 +272,8 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     loop = PathLoop(grids, path, solver, start)
     mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, start,
                                                 depends)
+    if store is not None and (obstacles := loop.controls.posed()):
+        mark["obstacles and preloads"] = obstacles
     kept = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
     results: list[Result] = []
     for result, coarse in () if kept is None else _results(kept, len(path)):
@@ -332,6 +342,9 @@ class PathLoop:
             self.loads[-1].fixed_values(self._factors_at(k))
         self.examiner = Examiner(grids.finest.discrete)
         self.method = step_solver(solver)
+        self.controls = Controls(grids.problem if _problem_with_names(grids) else None, grids.finest)
+        if start is None:  # the discretisation counts slips from where it has the obstacles
+            self.controls.places = self.controls.first_places()
         begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
         self.past = past_of(grids, begin, start is not None)
         #: displacements of the last two steps on the finest level, and the forces that led there, None if unknown
@@ -348,29 +361,44 @@ class PathLoop:
         return {name: float(values[k]) for name, values in self.factors.items()}
 
     def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
+        factors = self._factors_at(k)
+        parts, motions = self.controls.unknowns(factors), self.controls.motions
+        if parts:
+            result, (grids, forces, coarse), motions = self.controls.find(
+                parts, lambda motions, near: self._solve(k, motions, near, progress))
+        else:
+            result, (grids, forces, coarse) = self._solve(k, motions, None, progress)
+        result = replace(result, mesh=result.mesh_or_none,
+                         motions={name: motion.tolist() for name, motion in motions.items()})
+        self.controls.take(factors, motions)
+        self._remember(grids, result, forces, coarse)
+        _LOG.info(self.report(k, result))
+        return result
+
+    def _solve(self, k: int, motions: Mapping[str, np.ndarray], near: Result | None,
+               progress: Callable[[int, dict[str, float]], None] | None
+               ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
+        """The result of step k with the motions of obstacles, from one ``near`` to it; and what the next step needs."""
         finest = self.grids.finest.discrete
         run = Run(unit=finest.matrix.nnz, callback=None if progress is None else partial(progress, k))
         with run.phase("setup"):
-            grids = self._posed(k)
+            grids = self._posed(k, motions)
             forces = grids.finest.discrete.load_from_prescribed()
             run.examiner = self.examiner = self.examiner.at_step(grids.finest.discrete)
-            past = replace(self.past, extrapolated=self._extrapolated(forces))
+            start = self._extrapolated(forces) if near is None else finest.relative(near.displacement).reshape(-1)
+            past = replace(self.past, extrapolated=start)
         with run.phase("statics"):
             try:
                 check_statics_of(grids, coarse_first=k > 0)
             except ValueError as error:
                 raise ValueError(f"step {k} of {len(self.path)} ({self.described(k)}): {error}") from error
         if self._at_rest(forces):
-            result, coarse = self._undeformed(k, grids, run), None
-        else:
-            outcome, coarse = self.method.run(grids, self.examiner, run, past)
-            outcome = handed_over(checked_outcome(outcome, self.solver, grids.finest.discrete), grids, run)
-            with run.phase("result"):
-                result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
+            return self._undeformed(k, grids, run, motions), (grids, forces, None)
+        outcome, coarse = self.method.run(grids, self.examiner, run, past)
+        outcome = handed_over(checked_outcome(outcome, self.solver, grids.finest.discrete), grids, run)
         with run.phase("result"):
-            self._remember(grids, result, forces, coarse)
-        _LOG.info(self.report(k, result))
-        return result
+            result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions))
+        return result, (grids, forces, coarse)
 
     def report(self, k: int, result: Result) -> str:
         """How a step ended, as text."""
@@ -379,12 +407,14 @@ class PathLoop:
 
     def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
         """Go past a step that was solved before."""
-        grids = self._posed(k)
+        motions = {name: np.array(motion) for name, motion in result.motions.items()}
+        grids = self._posed(k, motions)
         if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
             raise ValueError(f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
                              f"{grids.finest.n_nodes}")
         if result.displacement.any():
             self.method.hold(result.rtol)
+        self.controls.take(self._factors_at(k), motions)
         self._remember(grids, result, grids.finest.discrete.load_from_prescribed(), coarse)
 
     def _at_rest(self, forces: np.ndarray) -> bool:
@@ -393,21 +423,27 @@ class PathLoop:
         slid = np.abs(contact.slip_reference).any(axis=1)
         return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
 
-    def _stress_data(self, k: int) -> StressData | None:
-        return self.loads[-1].stress_data(self._factors_at(k))
+    def _stress_data(self, k: int, motions: Mapping[str, np.ndarray]) -> StressData | None:
+        return self.loads[-1].stress_data(self._loading(k, motions))
 
-    def _undeformed(self, k: int, grids: Hierarchy, run: Run) -> Result:
+    def _loading(self, k: int, motions: Mapping[str, np.ndarray]) -> dict[str, float]:
+        """Factors of all loads: those of preloads are strains."""
+        bolts = {bolt.path_name: float(motions[bolt.path_name][0]) for bolt in self.controls.bolts}
+        return self._factors_at(k) | bolts
+
+    def _undeformed(self, k: int, grids: Hierarchy, run: Run, motions: Mapping[str, np.ndarray]) -> Result:
         """The result of a step in which nothing acts: no method could tell the relative error of its iterates."""
         rtol = getattr(self.solver, "rtol", None)
         outcome = Outcome(np.zeros(grids.finest.discrete.n_dofs), Status.CONVERGED, 0,
                           float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0)
-        result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k))
+        result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions))
         # all forces vanish: a relative residual would be rounding over nothing
         return replace(result, status=Status.CONVERGED, residual=0.0, mesh=result.mesh_or_none)
 
-    def _posed(self, k: int) -> Hierarchy:
-        """The hierarchy with loads, prescribed values and slip references of a step."""
-        factors, levels = self._factors_at(k), []
+    def _posed(self, k: int, motions: Mapping[str, np.ndarray]) -> Hierarchy:
+        """The hierarchy with loads, prescribed values, places of obstacles and slip references of a step."""
+        factors, levels = self._loading(k, motions), []
+        places = self.controls.placed(factors, motions)
         offset = len(self.grids) - len(self.past.levels)
         for number, (level, loads) in enumerate(zip(self.grids.levels, self.loads, strict=True)):
             if loads is not None and number >= offset:
@@ -416,6 +452,8 @@ class PathLoop:
                     reference = problem.at_contact(self.past.levels[number - offset])
                 step = problem.with_step(loads.load(factors), loads.fixed_values(factors), reference,
                                          loads.strain_free(factors))
+                if places:
+                    step = moved(step, self.controls.problem, level.mesh, places, self.controls.places)
                 level = level.posing(discrete=step)
             levels.append(level)
         return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))

@@ -159,7 +159,8 @@ class TruncatedSteps:
         return outcome, coarse
 
     def _kept(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
-        if self.multigrid is None or self.multigrid.spent:
+        kept = self.multigrid
+        if kept is None or kept.spent or not hierarchy.finest.discrete.alike(kept.problems[-1]):
             self.multigrid = KeptMultigrid(self.parts, hierarchy, run, self.rtol, self.max_cycles)
         else:
             self.multigrid.take(hierarchy, run)

@@ -92,6 +92,9 @@ class Result:
     springs : dict of str to list of float
         By boundary, or "point (0, 1)", the force (dim) that springs exert on the bodies, N, and its moment about the
         origin, N m.
+    motions : dict of str to list of float
+        By name the displacement, m, and the rotation, rad, of obstacles that a force presses (:class:`adaptmg.Rigid`),
+        and the strain that shortens a body (:class:`adaptmg.Preload`).
 
     Examples
     --------
@@ -129,6 +132,7 @@ class Result:
     fallback: str = ""
     choice: str = ""
     springs: dict[str, list[float]] = field(default_factory=dict)
+    motions: dict[str, list[float]] = field(default_factory=dict)
 
     #: of the columns of stresses and strains
     COMPONENTS: ClassVar[tuple[str, ...]] = ("xx", "yy", "zz", "xy", "yz", "xz")

@@ -1,38 +1,28 @@
-"""solve: one entry for every method: it checks the arguments, runs the solver and confirms the status of its result.
-
-Of one mesh the quickest method is the default: the active set method, whose factorisation grows faster than the
-unknowns, or multigrid on coarse spaces that are made from the matrix. CPU seconds of the one and the other: bar of 33k
-unknowns .75 and .53, of 132k 5.5 and 2.7; block (3D) of 15k 3.9 and .57.
-"""
+"""solve: one entry for every method: it checks the arguments, runs the solver and confirms the status of its result."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import replace
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
 from adaptmg._text import say
-from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import held_components
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.solver.active_set import ActiveSet
+from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_problem, advise_on_result, once
-from adaptmg.solver.certificate import Certificate
+from adaptmg.solver.controls import by_force
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.iterate import StopTest
-from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
-from adaptmg.solver.record import Outcome, Run, Solver, Status
-from adaptmg.solver.result import NotConverged, Result, label, problem_name, versions
+from adaptmg.solver.load_path import solve_path
+from adaptmg.solver.multigrid import handed_over
+from adaptmg.solver.outcome import checked_outcome, displacement_argument, grids_argument, method_argument, result_of
+from adaptmg.solver.record import Run, Solver
+from adaptmg.solver.result import NotConverged, Result
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
 
 _LOG = logging.getLogger(__name__)
@@ -96,6 +86,14 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     checks.flag("throw", throw)
     checks.flag("progress", progress)
     checks.optional_callable("callback", callback, "a row of the history")
+    if by_force(grids.problem):
+        _refuse_by_force(start=start, reference=reference)
+        watched = _watched(callback, progress)
+        path = solve_path(given, LoadPath(), solver, throw=False,
+                          progress=None if watched is None else lambda _, row: watched(row))
+        if throw and not path[0].status.ok:
+            raise NotConverged(path[0])
+        return path[0]
     discrete = grids.finest.discrete
     exact = displacement_argument("reference", reference, discrete)
     first = displacement_argument("start", start, discrete)
@@ -144,113 +142,8 @@ def _watched(callback: Callable[[dict[str, float]], None] | None, progress: bool
     return take
 
 
-#: unknowns up to which one mesh is factorised, by dimension
-FACTORISED = {2: 30_000, 3: 6_000}
-
-
-def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
-    """A solver and the grids for it; for None the quickest, and of one mesh why."""
-    if solver is not None:
-        words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer run()"
-        return grids, checks.offers("solver", solver, "run", words), ""
-    if len(grids) > 1:
-        return grids, FullMultigrid() if grids.discretised else Multigrid(), ""
-    level, n_dofs = grids.finest, grids.finest.discrete.n_dofs
-    why = f"for one mesh of {n_dofs} unknowns the quickest is "
-    if n_dofs > FACTORISED[level.discrete.dim]:
-        with suppress(ValueError):  # nothing to coarsen
-            made = Hierarchy.algebraic(level.discrete)
-            levels = (*made.levels[:-1], replace(made.finest, mesh=level.mesh_or_none))
-            made = replace(made, levels=levels, problem=grids.problem)
-            return made, Multigrid(), why + "multigrid on coarse spaces made from its matrix"
-    return grids, ActiveSet(), why + "the active set method"
-
-
-def displacement_argument(name: str, value: ArrayLike | Result | None, discrete: DiscreteProblem) -> np.ndarray | None:
-    """A displacement (n_nodes, dim) or a Result as unknowns of the problem, checked."""
-    if value is None:
-        return None
-    given = value.displacement if isinstance(value, Result) else value
-    array = check_arrays.array(name, given, (discrete.n_nodes, discrete.dim))
-    size = np.abs(array).max(initial=0.0)
-    if not size <= checks.VAST:
-        raise ValueError(f"{name} must be at most {checks.VAST:g} m, got {size:.3g}")
-    return np.array(discrete.relative(array))
-
-
-def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:
-    """A hierarchy; a bare DiscreteProblem becomes one of one level."""
-    if isinstance(value, DiscreteProblem):
-        return Hierarchy.single(value)
-    return checks.instance("grids", value, Hierarchy, "a Hierarchy or a DiscreteProblem")
-
-
-def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) -> Outcome:
-    """What a solver, perhaps user-defined, returns: checked, and DIVERGED where its numbers are not finite."""
-    name = f"solver: the run of {type(solver).__name__} must return an Outcome"
-    if not isinstance(outcome, Outcome):
-        raise TypeError(f"{name}, got {checks.described(outcome)}")
-    displacement = outcome.displacement
-    kind = getattr(getattr(displacement, "dtype", None), "kind", "")
-    if kind not in "iuf" or not kind or displacement.size != discrete.n_dofs:
-        given = f"{displacement.dtype} {displacement.shape}" if kind else checks.shown(displacement)
-        raise TypeError(f"{name} whose displacement is a real array {(discrete.n_nodes, discrete.dim)}, got {given}")
-    if not isinstance(outcome.status, Status):
-        raise TypeError(f"{name} whose status is one of am.Status, got {checks.shown(outcome.status)}")
-    cycles = checks.integer(f"{name} whose cycles", outcome.cycles)
-    rtol = checks.nonnegative(f"{name} whose rtol", outcome.rtol)
-    if not rtol < 1:
-        raise ValueError(f"{name} whose rtol is < 1, got {checks.shown(outcome.rtol)}")
-    for what in ("error_estimate", "rate"):
-        value = getattr(outcome, what)
-        if not isinstance(value, (float, int, np.floating)) or isinstance(value, bool) or value < 0:
-            raise TypeError(f"{name} whose {what} is a number >= 0 or NaN, got {checks.shown(value)}")
-    finite = bool(np.isfinite(displacement).all())
-    return replace(outcome, cycles=cycles, rtol=rtol, status=outcome.status if finite else Status.DIVERGED)
-
-
-def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, solver: Solver,
-              stress_data: StressData | None, choice: str = "") -> Result:
-    """The Result on the finest level; the certificate and the natural residual confirm the status."""
-    with run.phase("certificate"):
-        # a solver of the user may go on with its array
-        found = examiner(np.array(outcome.displacement), outcome.rtol)
-    mesh, problem, supports, springs = cast("Any", grids.finest.mesh_or_none), grids.problem, {}, {}
-    if problem is not None and grids.finest.mesh_or_none is not None:
-        supports = held_components(mesh, problem.supports)
-        springs = spring_resultants(mesh, problem.supports, found.displacement, problem.axisymmetric)
-    keys = dict.fromkeys(key for row in run.history for key in row)
-    history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
-    return Result(displacement=found.displacement, reaction=found.reaction, checked=found.checked,
-                  status=_confirmed(outcome, found.residual, found.checked, getattr(solver, "stop", "error")),
-                  cycles=outcome.cycles,
-                  contact=replace(found.contact, axisymmetric=stress_data is not None and stress_data.axisymmetric),
-                  work_units=run.work_units, residual=found.residual,
-                  error_estimate=float(np.fmax(outcome.error_estimate, found.checked.energy_error)),
-                  rate=outcome.rate, rtol=outcome.rtol, history=history,
-                  timings=run.timings, path=run.path, levels=grids.table(ratios=False),
-                  problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
-                  choice=choice, mesh=mesh, start_work_units=run.start_work_units,
-                  versions=versions(), stress_data=stress_data, supports=supports, springs=springs)
-
-
-def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
-    """The status of a solver, unless the natural residual or the certificate contradicts it. With the paper's test rtol
-    is that of a change: the error is compared with the multiple that the residual has."""
-    if not np.isfinite(residual):
-        return Status.DIVERGED
-    line = checked["equilibrium"]
-    rounding = checked.MOST_ROUNDING if line.relative <= line.rounding else StopTest.ROUNDING_LIMIT
-    most = max(StopTest.RESIDUAL_FACTOR * outcome.rtol, rounding)
-    # twice: solvers sum the same numbers in another order
-    if outcome.status.ok and not residual <= 2 * most:
-        return Status.DIVERGED if not residual < 1 else Status.STALLED
-    factor = StopTest.RESIDUAL_FACTOR if stop == "change" else checked.ENERGY_FACTOR
-    found = checked.contradictions(outcome.rtol, factor)
-    if not checked.energy_error < 1:
-        found = *found, "energy error of the size of the solution"
-    if outcome.status.ok and found:
-        _LOG.info("the solver reports convergence, contradicted by %s", ", ".join(found))
-        _LOG.debug("%s", checked)
-        return Status.STALLED
-    return outcome.status
+def _refuse_by_force(**options: object) -> None:
+    for name, value in options.items():
+        if value is not None:
+            raise ValueError(f"{name} must be None: a Rigid obstacle or a Preload is found by several contact "
+                             "problems")

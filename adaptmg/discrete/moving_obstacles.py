@@ -1,0 +1,46 @@
+"""Contact nodes in front of obstacles that move: their gaps, normals and the slip that friction acts on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from adaptmg.discrete.discretise import facing_obstacle
+from adaptmg.discrete.mortar.interface import slave_normals
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.moving import Moving
+
+#: normals that turn by less than this do not
+_ROUNDING = 1e-14
+
+
+def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, now: Mapping[int, Moving],
+          before: Mapping[int, Moving]) -> DiscreteProblem:
+    """The problem with obstacles, by the number of their contact, in the places ``now``.
+
+    Slip counts from where they were ``before``, from their first place where it does not name them.
+    """
+    if not now:
+        return discrete
+    fixed = discrete.fixed.reshape(mesh.points.shape)
+    contact, exchange = discrete.contact, discrete.exchange
+    normals, gaps, reference = contact.normals.copy(), contact.gaps.copy(), contact.slip_reference.copy()
+    for k, obstacle in now.items():
+        own = np.flatnonzero(contact.boundary == k)
+        points, boundary = mesh.points[contact.nodes[own]], problem.contact[k].boundary
+        outward = slave_normals(mesh.surface(boundary), fixed)[contact.nodes[own]]
+        normals[own], gaps[own] = facing_obstacle(obstacle, boundary, points, outward)
+        reference[own] += obstacle.motion(points) - (before[k].motion(points) if k in before else 0.0)
+    turned = np.abs(normals - contact.normals).max(initial=0.0) > _ROUNDING
+    new = replace(contact, normals=normals if turned else contact.normals, gaps=gaps, slip_reference=reference,
+                  allow_interference=True)
+    if exchange is not None:  # the contact of obstacles stands in the same places, and is not exchanged
+        rows = np.isin(contact.boundary, list(now))[:, None]
+        posed = replace(exchange.contact, normals=np.where(rows, new.normals, exchange.contact.normals),
+                        gaps=np.where(rows[:, 0], gaps, exchange.contact.gaps), allow_interference=True)
+        exchange = replace(exchange, contact=posed)
+    return discrete.facing(new, exchange) if turned else discrete.posing(contact=new, exchange=exchange)

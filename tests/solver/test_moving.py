@@ -1,0 +1,169 @@
+"""Obstacles that move or are pressed, and bolts that are tightened: motions, forces and friction."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import rotation
+from scipy.spatial.transform import Rotation
+
+import adaptmg as am
+from adaptmg.discrete.cut import cut_force
+
+E, NU, PRESS = 2e9, 0.3, 1e6
+
+
+def turned_block(rng, obstacle, law=am.Frictionless()):  # noqa: B008
+    """A clamped square, turned, shifted and scaled at random, under an obstacle made by ``obstacle(place, size)``."""
+    turn, shift, size = rotation(rng.uniform(0, 2 * np.pi)), rng.normal(size=2), 10 ** rng.uniform(-3, 1)
+
+    def place(points):
+        return shift + size * np.asarray(points) @ turn.T
+
+    domain = am.Polygon(vertices=tuple(map(tuple, place([(0, 0), (1, 0), (1, 1), (0, 1)]))),
+                        boundaries=("bottom", "right", "top", "left"))
+    problem = am.ContactProblem(
+        domain=domain, material=am.PlaneStrain(young=E, poisson=NU), law=law,
+        supports=(am.Support("bottom", x=0, y=0),),
+        contact=am.Contact("top", obstacle(place, lambda vector: size * turn @ vector)))
+    return am.Hierarchy.graded(problem, sizes=(0.4 * size, 0.2 * size)), turn, size
+
+
+def plane(place):
+    return am.Plane(place((0.3, 1.0)), place((0.3, 0.0)) - place((0.3, 1.0)))
+
+
+@pytest.mark.filterwarnings("ignore:friction 5")
+@pytest.mark.parametrize("seed", range(3))
+def test_force_and_moment_find_the_motion_that_made_them(seed):
+    rng, sticks = np.random.default_rng(seed), am.Coulomb(5.0)
+    depth, angle = rng.uniform(1e-3, 3e-3), rng.uniform(-1e-3, 1e-3)
+
+    def moving(place, vector):
+        return am.Moving(plane(place), displacement=vector(np.array([0.0, -depth])), rotation=angle,
+                         about=place((0.5, 1)))
+
+    grids, _, size = turned_block(np.random.default_rng(seed), moving, sticks)
+    obstacle, moved = grids.problem.contact[0].obstacle, am.solve(grids)
+    total = moved.resultant("top", about=obstacle.about)
+
+    def rigid(place, vector):
+        return am.Rigid(plane(place), force=tuple(total.force), moment=float(total.moment), about=place((0.5, 1)))
+
+    found = am.solve(turned_block(np.random.default_rng(seed), rigid, sticks)[0])
+    expected = np.r_[obstacle.displacement / size, angle]
+    np.testing.assert_allclose(found.motions["obstacle"] / np.array([size, size, 1]), expected, atol=1e-5 * depth)
+    np.testing.assert_allclose(found.displacement, moved.displacement, atol=1e-5 * depth * size)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_friction_follows_the_sliding_obstacle(seed):
+    """Pressed, slid far, and slid back: the tangential force is the friction bound, against the motion."""
+    friction = 0.2
+
+    def obstacle(place, vector):
+        slide = am.Moving(plane(place), displacement=vector(np.array([0.05, 0.0])), name="slide")
+        return am.Moving(slide, displacement=vector(np.array([0.0, -1e-3])), name="press")
+
+    grids, turn, _ = turned_block(np.random.default_rng(seed), obstacle, am.Coulomb(friction))
+    steps = am.solve_path(grids, am.LoadPath({"press": [1, 1, 1, 1], "slide": [0, 1, 1, 0]}), am.ActiveSet(rtol=1e-10))
+    forces = np.array([turn.T @ step.resultant("top").force for step in steps])
+    assert forces[0, 1] < 0 and abs(forces[0, 0]) < 0.1 * abs(forces[0, 1])
+    np.testing.assert_allclose(forces[[1, 3], 0] / forces[[1, 3], 1], [-friction, friction], rtol=1e-9)
+    np.testing.assert_allclose(forces[2], forces[1], rtol=1e-7)  # nothing moves: nothing changes
+    multigrid = am.solve_path(grids, am.LoadPath({"press": [1, 1, 1, 1], "slide": [0, 1, 1, 0]}))
+    for one, other in zip(steps, multigrid, strict=True):
+        np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-6 * np.abs(one.displacement).max())
+
+
+def test_planes_move_exactly_and_other_obstacles_to_first_order():
+    rng = np.random.default_rng(5)
+    for dim in (2, 3):
+        turn = Rotation.random(rng=rng).as_matrix() if dim == 3 else rotation(rng.uniform(0, 6))
+        normal, about, shift, points = turn[0], rng.normal(size=dim), rng.normal(size=dim), rng.normal(size=(7, dim))
+        small = 0.2 * rng.normal(size=2 * dim - 3)
+        moving = am.Moving(am.Plane(rng.normal(size=dim), normal), displacement=shift, rotation=small, about=about)
+        turning = Rotation.from_rotvec(small).as_matrix() if dim == 3 else rotation(small[0])
+        back = about + (points - about - shift) @ turning  # in the frame of the obstacle
+        normals, gaps = moving.contact(points, np.tile(-turning @ normal, (7, 1)))
+        np.testing.assert_allclose(gaps, moving.obstacle.contact(back, np.tile(-normal, (7, 1)))[1], atol=1e-13)
+        np.testing.assert_allclose(normals, np.tile(-turning @ normal, (7, 1)), atol=1e-13)
+    ball = am.GapFunction(lambda x: 0.5 * (x ** 2).sum(axis=1))
+    shift, points, up = np.array([0.3, -0.2]), np.stack([rng.normal(size=5), np.zeros(5)], axis=1), np.array([0.0, 1.0])
+    _, gaps = am.Moving(ball, displacement=shift).contact(points, np.tile(up, (5, 1)))
+    np.testing.assert_allclose(gaps, 0.5 * (points[:, 0] - 0.3) ** 2 - 0.2, atol=1e-14)
+
+
+def tightened(force=2e6):
+    joint = am.cases.bolted_junction()
+    bolt = am.Preload("bolt", force=force, axis="y")
+    others = [one for one in joint.loads if not isinstance(one, am.InitialStrain)]
+    return am.Hierarchy.graded(replace(joint, loads=[bolt, *others]), sizes=(20e-3, 12e-3)), bolt
+
+
+@pytest.fixture(scope="module")
+def joint():
+    return tightened()
+
+
+FILLED = {name: [0, 1] for name in ("upper.bore", "lower.bore", "upper.pipe")}
+
+
+def test_a_preload_is_carried_by_cut_heads_and_joint(joint):
+    grids, bolt = joint
+    steps = am.solve_path(grids, am.LoadPath({"bolt": [1, 1], **FILLED}))
+    first, second = steps
+    at_cut = [cut_force(one.mesh, one.stress_data, one.displacement, bolt) for one in steps]
+    heads = [[sign * one.resultant(f"bolt.{side}_head").force[1] for side, sign in (("upper", 1), ("lower", -1))]
+             for one in steps]
+    np.testing.assert_allclose([at_cut[0], *heads[0], first.resultant("upper.joint").force[1]], bolt.force, rtol=1e-6)
+    np.testing.assert_allclose(heads[1], at_cut[1], rtol=1e-6)  # the bolt keeps its length, its force changes
+    assert second.motions == first.motions and abs(at_cut[1] / bolt.force - 1) > 1e-4
+    relieved = second.resultant("upper.joint").force[1]
+    thrust = grids.problem.reference["thrust"]
+    assert relieved + thrust == pytest.approx(at_cut[1], rel=1e-2)  # the bore's corner faces the joint's gap
+
+
+def test_a_stored_path_goes_on_with_its_motions(joint, tmp_path):
+    grids, _ = joint
+    path = am.LoadPath({"bolt": [0.5, 1, 1]}, default=[0, 0, 1])
+    whole = am.solve_path(grids, path)
+    am.solve_path(grids, path, store=tmp_path / "path")
+    (tmp_path / "path" / "step_0002.npz").unlink()
+    again = am.solve_path(grids, path, store=tmp_path / "path")
+    with pytest.raises(ValueError, match="obstacles and preloads"):
+        am.solve_path(tightened(1e6)[0], path, store=tmp_path / "path")
+    for one, other in zip(whole, again, strict=True):
+        assert one.motions["bolt"] == pytest.approx(other.motions["bolt"], rel=1e-6)
+        np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-6 * np.abs(one.displacement).max())
+
+
+def test_what_cannot_be_found_is_refused():
+    def refused(obstacle, words, path=am.LoadPath(), law=am.Frictionless()):  # noqa: B008
+        grids, *_ = turned_block(np.random.default_rng(1), obstacle, law)
+        with pytest.raises(ValueError, match=words):
+            am.solve_path(grids, path)
+
+    def rigid(direction, name="punch"):
+        return lambda place, vector: am.Rigid(plane(place), force=tuple(PRESS * vector(np.array(direction))), name=name)
+
+    refused(rigid((0.0, 1.0)), "pulls it away")
+    refused(rigid((0.0, -1.0)), "the factor of 'punch', which a force presses, must be > 0, got 0",
+            am.LoadPath({"punch": [0, 1]}))
+    refused(rigid((0.5, -1.0)), "nothing resists 'punch'")
+    grids, *_ = turned_block(np.random.default_rng(1), rigid((0.0, -1.0)))
+    with pytest.raises(ValueError, match="start must be None"):
+        am.solve(grids, start=np.zeros((grids.finest.n_nodes, 2)))
+    with pytest.raises(ValueError, match="Rigid obstacle or a Preload"):
+        am.adapt(grids.problem, max_nodes=100)
+    floor = am.Plane((0, 0), (0, 1))
+    for make, words in ((lambda: am.Rigid(floor, force=(None, None)), "force and moment are None"),
+                        (lambda: am.Rigid(floor, force=(0.0, None)), "component other than zero"),
+                        (lambda: am.Moving(floor, displacement=(0, 0, 1)), "about"),
+                        (lambda: am.Moving(floor, displacement=(0, np.nan)), "displacement"),
+                        (lambda: am.Preload("bolt", force=-1.0, axis="y"), "force must be > 0"),
+                        (lambda: am.Preload("bolt", force=1.0, axis="w"), "axis must be")):
+        with pytest.raises(ValueError, match=words):
+            make()
+    with pytest.raises(TypeError, match="must not be Rigid"):
+        am.Moving(am.Rigid(floor, force=(None, 1.0)), displacement=(0, 0))
