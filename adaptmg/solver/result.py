@@ -26,6 +26,7 @@ from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, ce
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.record import Status
 from adaptmg.solver.store import packed, read
+from adaptmg.solver.stress_intensity import StressIntensity, stress_intensity
 
 if TYPE_CHECKING:
     import pandas
@@ -249,6 +250,29 @@ class Result:
         principal, finite = np.full((len(tensors), 3), np.nan), np.isfinite(tensors).all(axis=(1, 2))
         principal[finite] = np.linalg.eigvalsh(tensors[finite])[:, ::-1]
         return principal
+
+    def stress_intensity(self, crack: str, tip: int = 0, *, radius: float | None = None) -> StressIntensity:
+        """Return the stress intensity factors at a tip of a plane crack, by the interaction integral.
+
+        Contact forces on the faces are counted, loads on them and in the body are not. The faces are straight near the
+        tip, the body is of one material there.
+
+        Parameters
+        ----------
+        crack : str
+            Its name: its faces are the boundaries "crack.left" and "crack.right".
+        tip : int
+            0 where the path begins if that is in the body, else where it ends; 1 where it ends.
+        radius : float, optional
+            Largest radius of the domain of integration, m, of five elements at least. Default: what a kink, the other
+            tip (.45 of the crack's length) and other boundaries leave.
+
+        Raises
+        ------
+        ValueError
+            For other than plane problems and cracks; where the mesh is too coarse at the tip.
+        """
+        return stress_intensity(self, crack, tip, radius)
 
     @property
     def energy(self) -> float:

@@ -1,5 +1,7 @@
 """Cracks whose faces touch: what passes through them, what stays apart, and the factors at their tips."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,11 +15,11 @@ def corners(angle, shift, half=1.0):
     return (half * np.array([(-2, -1.5), (2, -1.5), (2, 1.5), (-2, 1.5)]) @ [[c, s], [-s, c]] + shift).tolist()
 
 
-def squeezed(rng, paths, coupling="mortar"):
+def squeezed(rng, paths, coupling="mortar", half=1.0):
     """A plate that is turned and moved, with cracks at paths before that, under equal pressure from all sides."""
     angle, shift = rng.uniform(0, 7), rng.uniform(-5, 5, 2)
     c, s = np.cos(angle), np.sin(angle)
-    around = corners(angle, shift)
+    around = corners(angle, shift, half)
     domain = am.Cracked(am.Polygon(vertices=around, boundaries=tuple("abcd")),
                         {name: np.array(path) @ [[c, s], [-s, c]] + shift for name, path in paths.items()})
     return am.ContactProblem(
@@ -43,3 +45,24 @@ def test_closed_cracks_pass_pressure_on(coupling, paths):
     for name in paths:
         left, right = (grids.finest.mesh.boundary_nodes(f"{name}.{side}") for side in ("left", "right"))
         assert not np.isin(result.contact.node, np.intersect1d(left, right)).any()
+
+
+def test_stress_intensity_factors_are_those_of_an_infinite_plate():
+    rng = np.random.default_rng()
+    c = np.sqrt(0.5)
+    problem = squeezed(rng, {"crack": [(-c, -c), (c, c)]}, half=15)
+    for sign, sliding, opening in ((1, 0.5 * (1 - 0.3), 0.0), (-1, -0.5, 0.5)):
+        posed = replace(problem, loads=tuple(am.Pressure(name, sign * P) for name in "ac"))
+        grids = am.Hierarchy.graded(posed, (4, 2), 32)
+        result = am.solve(grids, am.Multigrid(rtol=1e-6))
+        for tip in (0, 1):
+            found, scale = result.stress_intensity("crack", tip), P * np.sqrt(np.pi)
+            assert found.K_I / scale == pytest.approx(opening, abs=0.01)
+            assert found.K_II / scale == pytest.approx(-sliding, abs=0.01)
+            assert max(found.spread) < 0.01 * scale and max(found.radii) == pytest.approx(0.9)
+    with pytest.raises(ValueError, match="tip must be below 2"):
+        result.stress_intensity("crack", 2)
+    with pytest.raises(ValueError, match="radius must be at most"):
+        result.stress_intensity("crack", radius=1.0)
+    with pytest.raises(ValueError, match="too coarse"):
+        result.stress_intensity("crack", radius=0.1)
