@@ -62,8 +62,7 @@ class _Friction:
 
 
 def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4e6, friction: float = 0.2,
-                    head_friction: float | None = None, flanges: Flanges | None = None, young: float = 2.1e11,
-                    poisson: float = 0.3) -> ContactProblem:
+                    flanges: Flanges | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """Pose two vessels bolted together, under internal pressure.
 
     Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first contact
@@ -83,9 +82,7 @@ def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4
     pressure : float
         Inside, Pa.
     friction : float
-        Between the flanges.
-    head_friction : float, optional
-        Under the heads; default 0 in 2D, 0.2 in 3D, where nothing else holds the bolts.
+        Between the flanges. Under the heads it is 0 in 2D, and 0.2 in 3D, where nothing else holds the bolts.
     flanges : Flanges, optional
         Dimensions; by default 16 bolts of 24 mm, in 3D 8 bolts of the same section.
     young, poisson : float
@@ -102,7 +99,7 @@ def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4
     checks.instance("flanges", flanges, Flanges)
     preload, pressure = checks.quantity("preload", preload, positive=True), checks.quantity("pressure", pressure)
     material = (Axisymmetric if dim == 2 else Solid)(young=young, poisson=poisson)
-    usual = dim == 2 and not head_friction and (preload, pressure, friction, flanges, young, poisson) == (
+    usual = dim == 2 and (preload, pressure, friction, flanges, young, poisson) == (
         2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)
     reference: dict[str, object] = {"remark": _REMARK, "flanges": flanges, "pressure": pressure,
                                     "thrust": flanges.thrust(pressure)}
@@ -112,16 +109,12 @@ def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4
     model = _Model(flanges, material, flanges.shortening(preload, material.young, dim))
     return ContactProblem(
         name="bolted junction" if dim == 2 else "bolted junction, sector", material=model.materials(),
-        domain=Assembly(parts=model.parts), contact=model.pairs(), law=_law(friction, head_friction, model),
+        domain=Assembly(parts=model.parts), contact=model.pairs(), law=_law(friction, model),
         loads=model.loads(pressure), supports=model.supports(), reference=reference)
 
 
-def _law(friction: float, head_friction: float | None, model: _Model) -> Law:
-    friction = checks.nonnegative("friction", friction)
-    heads = (0.0 if model.dim == 2 else 0.2) if head_friction is None else checks.nonnegative("head_friction",
-                                                                                            head_friction)
-    if model.dim == 3 and not heads:
-        raise ValueError("head_friction must be > 0 in 3D: nothing else holds the bolts sideways, got 0")
+def _law(friction: float, model: _Model) -> Law:
+    friction, heads = checks.nonnegative("friction", friction), 0.0 if model.dim == 2 else 0.2
     if heads == friction:
         return Coulomb(friction) if friction else Frictionless()
     return Coulomb(_Friction(friction, heads, 0.5 * min(model.flanges.upper, model.flanges.lower)))

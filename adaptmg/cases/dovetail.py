@@ -15,8 +15,7 @@ strain, lengths in mm (``angle`` is that of the flanks from the horizontal)::
             +--------------------+  y = -40, fixed
 
 The flank opens at the mouth, slips, sticks in its middle and slips to its lower end, where the corner of the chamfer
-makes an edge singularity; the floor opens. A clearance c moves the notch's flank and floor away from the tongue by c
-along their normals: before the flanks carry a load the tongue rises by :math:`c / \cos(\text{angle})`.
+makes an edge singularity; the floor opens.
 """
 
 from __future__ import annotations
@@ -44,11 +43,11 @@ _SIDE, _BOTTOM = 36.0, 40.0
 # the least width of the block next to the notch
 _LEAST_WALL = 6.0
 
-_DEFAULTS = {"angle": 50.0, "clearance": 0.0, "pull": 100e6, "clamp": 120e6, "young": 2.1e11, "poisson": 0.3}
+_DEFAULTS = {"angle": 50.0, "pull": 100e6, "clamp": 120e6, "young": 2.1e11, "poisson": 0.3}
 
 
-def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float = 0.0, pull: float = 100e6,  # noqa: B008
-             clamp: float = 120e6, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, pull: float = 100e6, clamp: float = 120e6,  # noqa: B008
+             young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
     """Pose the dovetail joint; a reconstruction with our own geometry and loads.
 
     Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name -> position,
@@ -61,8 +60,6 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
         On flank and floor.
     angle : float
         Of the flanks from the horizontal, degrees, below 90.
-    clearance : float
-        Normal distance of flank and floor from the tongue before loading, m, >= 0.
     pull : float
         Traction on the top of the neck, Pa; positive pulls the tongue out.
     clamp : float
@@ -75,19 +72,15 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, clearance: float =
     >>> am.cases.dovetail().domain.bodies
     ('tongue', 'block')
     """
-    parameters = {"angle": angle, "clearance": clearance, "pull": pull, "clamp": clamp, "young": young,
-                  "poisson": poisson}
+    parameters = {"angle": angle, "pull": pull, "clamp": clamp, "young": young, "poisson": poisson}
     angle = _checked_angle(angle)
-    if not checks.quantity("clearance", clearance) >= 0:
-        raise ValueError(f"clearance must be >= 0, got {clearance!r}: pose an interference fit by pairs with "
-                         "ContactPair(..., gap=..., allow_interference=True)")
     pull, clamp = checks.quantity("pull", pull), checks.quantity("clamp", clamp)
     reference: Mapping[str, object] = {"remark": _REMARK}
     if parameters == _DEFAULTS and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 0.2:
         reference = _REFERENCE
     return ContactProblem(
         name="dovetail", material=PlaneStrain(young=young, poisson=poisson),
-        domain=Assembly(parts={"tongue": _tongue(angle), "block": _block(angle, float(clearance) / _MM)}),
+        domain=Assembly(parts={"tongue": _tongue(angle), "block": _block(angle)}),
         contact=(ContactPair("tongue.flank", "block.flank"), ContactPair("tongue.bottom", "block.floor")), law=law,
         loads=(Traction("tongue.top", (0.0, pull)), Pressure("block.side", clamp)),
         supports=(Support("tongue.symmetry", x=0.0), Support("block.symmetry", x=0.0),
@@ -109,14 +102,9 @@ def _tongue(angle: float) -> Polygon:
                      (_NECK, _RISE), (0.0, _RISE)], ("bottom", "chamfer", "flank", "neck", "top", "symmetry"))
 
 
-def _block(angle: float, clearance: float) -> Polygon:
-    """The outer part, its flank and floor moved along their normals by ``clearance``, mm."""
-    mouth = _NECK + clearance / math.sin(angle)
-    floor = _DEPTH + clearance
-    root = mouth + floor / math.tan(angle)
-    if not (root <= _SIDE - 0.5 * _LEAST_WALL and floor < 0.75 * _BOTTOM):
-        raise ValueError(f"clearance {clearance * _MM:g} m is larger than the block has room for")
-    return _polygon([(0.0, -_BOTTOM), (_SIDE, -_BOTTOM), (_SIDE, 0.0), (mouth, 0.0), (root, -floor), (0.0, -floor)],
+def _block(angle: float) -> Polygon:
+    root = _NECK + _DEPTH / math.tan(angle)
+    return _polygon([(0.0, -_BOTTOM), (_SIDE, -_BOTTOM), (_SIDE, 0.0), (_NECK, 0.0), (root, -_DEPTH), (0.0, -_DEPTH)],
                     ("bottom", "side", "shoulder", "flank", "floor", "symmetry"))
 
 

@@ -135,12 +135,12 @@ def test_a_sector_in_three_dimensions_agrees_with_the_ring():
 def test_friction_is_that_of_the_joint_or_the_heads():
     assert isinstance(bolted_junction(friction=0.0).law, am.Frictionless)
     assert bolted_junction().law.friction(np.array([[0.24, 0.0], [0.24, 0.04]])).tolist() == [0.2, 0.0]
+    assert bolted_junction(dim=3).law.friction == 0.2
 
 
 test_refused = refused(
     *((lambda options=options: bolted_junction(**options), message) for options, message in (
         ({"preload": 0.0}, "preload must be > 0"),
-        ({"dim": 3, "head_friction": 0.0}, "holds the bolts sideways"),
         ({"dim": 3, "flanges": Flanges(n_bolts=6)}, "multiple of 4"))),
     *((lambda options=options: Flanges(**options), message) for options, message in (
         ({"bore": -1.0}, "bore must be > 0"), ({"bolt_circle": 0.22}, "bolt_circle must leave room"),

@@ -232,9 +232,9 @@ def test_settings_reach_the_adaptive_loop(adapt, wanted):
 
 
 def test_friction_of_a_case_that_takes_no_law(command):
-    made = build.problem_of({"case": "bolted_junction", "friction": 0.35, "head_friction": 0.1})
+    made = build.problem_of({"case": "bolted_junction", "friction": 0.35})
     points = np.array([[0.1, 0.0], [0.1, 0.05], [0.2, 0.03]])
-    wanted = am.cases.bolted_junction(friction=0.35, head_friction=0.1).law
+    wanted = am.cases.bolted_junction(friction=0.35).law
     assert (made.law.friction(points) == wanted.friction(points)).all() and made.law.friction(points).max() == 0.35
     for given in ({"law": "frictionless"}, {"law": "tresca", "friction": 0.3}):
         with pytest.raises(ValueError, match=r"case\.law has no meaning for the case bolted_junction"):
