@@ -44,7 +44,7 @@ Divisions = int | tuple[int, ...]
 class Hierarchy:
     """Levels, coarsest first, and how they were made. Printing it shows a table.
 
-    Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`bisected`, :meth:`from_meshes`,
+    Use the constructors :meth:`uniform`, :meth:`graded`, :meth:`from_meshes`,
     :meth:`from_prolongations`, :meth:`algebraic`, :meth:`single`; :meth:`append` and :meth:`without` make more and
     fewer levels of one, :meth:`with_problem` poses another problem on its meshes.
 
@@ -56,8 +56,6 @@ class Hierarchy:
         How they were made, as text.
     timings : dict of str to float
         Wall time of making them by phase, s: "mesh", "assembly", "transfer". They add up to the whole.
-    limits : str
-        What more levels of this kind cannot do, as text; printed with the table.
     transfer : Transfer or None
         What built the prolongations between meshes; None for interpolation, or where there are no meshes.
     contact_rows : bool
@@ -74,7 +72,6 @@ class Hierarchy:
     problem: ContactProblem | Any = None  # Any: only hierarchies of a given matrix need the test for None
     origin: str = "levels"
     timings: dict[str, float] = field(default_factory=dict)
-    limits: str = ""
     transfer: Transfer | None = None
     contact_rows: bool = True
 
@@ -177,37 +174,6 @@ class Hierarchy:
             for size, growth in zip(sizes, gradings, strict=True)], transfer, origin, begin, contact_rows)
 
     @classmethod
-    def bisected(cls, problem: ContactProblem, coarsest: object, levels: int) -> Hierarchy:
-        """Nested meshes: ``coarsest`` refined ``levels`` times by bisection of the elements that touch contact.
-
-        Parameters
-        ----------
-        problem : ContactProblem
-        coarsest : MeshArrays, ngsolve.Mesh or path of a mesh file
-        levels : int
-            Number of refinements, >= 1; each doubles the elements at contact (3D: four times).
-
-        Notes
-        -----
-        Elements away from contact stay unchanged on every level, and with them their part of the discretisation
-        error: after two or three levels it dominates, and further ones only resolve contact. Printing the hierarchy
-        says so, with the sizes; a UserWarning where they are more than six times as large as those at contact. Meshes
-        that follow the whole solution come from :func:`adaptmg.adapt`, :meth:`graded` or :meth:`from_meshes`.
-        """
-        begin = clock()
-        from adaptmg.mesh import as_mesh, refine_near
-
-        checks.instance("problem", problem, ContactProblem, "a ContactProblem")
-        first = as_mesh(coarsest)
-        problem.check_boundaries(first.boundaries)
-        meshes = refine_near(first, problem.pair_boundaries, checks.integer("levels", levels, 1))
-        limits, too_far = _limits_of_bisection(meshes, problem.pair_boundaries)
-        if too_far:
-            warnings.warn(f"bisected, levels={levels}: {limits}. Take fewer levels, a finer coarsest mesh, or meshes "
-                          "that follow the whole solution (am.adapt, Hierarchy.graded)", UserWarning, stacklevel=2)
-        return cls._build(problem, lambda: meshes, None, f"bisected {levels} times near contact", begin, limits=limits)
-
-    @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[object], transfer: Transfer | None = None,
                     contact_rows: bool = True) -> Hierarchy:
         """From given meshes, coarse to fine.
@@ -278,7 +244,7 @@ class Hierarchy:
     @classmethod
     @one_blas_thread()
     def _build(cls, problem: ContactProblem, mesh: Callable[[], list[MeshArrays]], transfer: Transfer | None,
-               origin: str, begin: float, contact_rows: bool = True, limits: str = "") -> Hierarchy:
+               origin: str, begin: float, contact_rows: bool = True) -> Hierarchy:
         """The levels on the meshes that ``mesh`` makes."""
         compiled = compiling_seconds()
         meshes = mesh()
@@ -295,7 +261,7 @@ class Hierarchy:
         timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": clock() - assembled}
         if compiling_seconds() > compiled:
             timings["compiling"] = compiling_seconds() - compiled
-        return cls(tuple(levels), problem, origin, timings, limits, transfer, contact_rows)
+        return cls(tuple(levels), problem, origin, timings, transfer, contact_rows)
 
     def __len__(self) -> int:
         return len(self.levels)
@@ -452,7 +418,7 @@ class Hierarchy:
                          f"{ratio:>8}")
         lines.append(f"grid complexity {self.grid_complexity:.3f}, "
                      f"operator complexity (discretised) {self.operator_complexity:.3f}")
-        return "\n".join(lines + [self.limits] * bool(self.limits))
+        return "\n".join(lines)
 
 
 def _each(name: str, value: T | Sequence[T], one: tuple[type, ...]) -> tuple[T, ...]:
@@ -507,20 +473,3 @@ def _label(value: object) -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{body}: {_label(part)}" for body, part in value.items()) + "}"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-# elements away from contact this many times as large as those at it: about what two halvings more than theirs make
-_FAR_APART = 6
-
-
-def _limits_of_bisection(meshes: Sequence[MeshArrays], boundaries: Sequence[str]) -> tuple[str, bool]:
-    """What bisection near contact leaves: the elements that no level has touched; and whether that is too much."""
-    first, last = meshes[0].element_sizes, meshes[-1]
-    contact = np.unique(np.concatenate([last.boundary_nodes(name) for name in boundaries]))
-    near = np.isin(last.elements, contact).any(axis=1)
-    bulk, fine = float(last.element_sizes.max()), float(last.element_sizes[near].max())
-    kept = float(last.volumes[last.element_sizes >= 0.5 * first.max()].sum() / last.volumes.sum())
-    text = (f"limits: only elements at contact are refined (to {fine:.3g} m); away from it {100 * kept:.0f} % of the "
-            f"domain keeps elements of up to {bulk:.3g} m")
-    too_far = bulk > _FAR_APART * fine
-    return text + (": their part of the error stays, and more levels hardly help" if too_far else ""), too_far

@@ -1,7 +1,6 @@
 """Hierarchies: constructors, the table, other problems, levels that come and go; and what is refused."""
 
 import pickle
-import warnings
 from dataclasses import replace
 from functools import cache
 from importlib import import_module
@@ -17,7 +16,7 @@ from scipy import sparse
 import adaptmg as am
 from adaptmg import level as meshed_levels
 from adaptmg._on_demand import OnDemand
-from adaptmg.mesh import check_mesh, structured
+from adaptmg.mesh import check_mesh, refine_near, structured
 
 BAR, JOINT = am.cases.greco_bar(), am.cases.dovetail()
 COARSE = structured(BAR.domain, 4)
@@ -45,14 +44,14 @@ def affine(points):
     lambda p: am.Hierarchy.uniform(p, divisions=(2, 4, 8)),
     lambda p: am.Hierarchy.uniform(p, divisions=(3, 5, 8), diagonal="alternating"),
     lambda p: am.Hierarchy.graded(p, sizes=(20e-3, 10e-3), contact_ratio=3),
-    lambda p: am.Hierarchy.bisected(p, structured(p.domain, 4), levels=2),
+    lambda p: am.Hierarchy.from_meshes(p, refine_near(structured(p.domain, 4), "bottom", levels=2)),
     lambda p: am.Hierarchy.from_meshes(p, [am.mesh.graded(p.domain, s, "bottom").source for s in (20e-3, 9e-3)])])
 def test_prolongations_reproduce_affine_fields(make):
     grids = make(BAR)
     for coarse, fine in zip(grids.levels[:-1], grids.levels[1:], strict=True):
         assert fine.prolongation @ affine(coarse.mesh.points) == pytest.approx(affine(fine.mesh.points), rel=1e-10)
         assert fine.mesh_ratio >= 1
-        if "bisected" in grids.origin:
+        if fine.mesh.refinement is not None:
             n = coarse.mesh.n_nodes
             assert np.array_equal(fine.mesh.points[:n], coarse.mesh.points)
             assert abs(fine.prolongation[:n] - sparse.eye_array(n)).max() < 1e-12
@@ -131,15 +130,6 @@ def test_contact_rows_stay_on_the_contact_boundary():
     assert np.abs(found - x).max() > 1e-3
     untouched = am.Hierarchy.graded(BAR, sizes=sizes, transfer=Nearest(), contact_rows=False)
     assert (np.diff(untouched[1].prolongation.indptr) == 1).all()
-
-
-def test_more_levels_of_bisection_that_hardly_help_are_warned_of():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert "hardly" not in repr(am.Hierarchy.bisected(BAR, structured(BAR.domain, 8), 2))
-    with pytest.warns(UserWarning, match=r"levels=4: .*elements of up to 0.00707 m.*hardly help") as said:
-        assert "more levels hardly help" in repr(am.Hierarchy.bisected(BAR, structured(BAR.domain, 8), 4))
-    assert said[0].filename == __file__
 
 
 RENAMED = replace(COARSE, boundaries=("south", "east", "north", "west"), source=None)

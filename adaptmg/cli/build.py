@@ -204,7 +204,7 @@ def sections() -> dict[str, dict[str, Key]]:
     return {
         "case": {"case": Key("name"), "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "that of the case"),
                  **{key: value for kind in OBJECTS["law"] for key, value in keys_of(kind).items()}},
-        "hierarchy": {**keys_of(am.Hierarchy.uniform), **keys_of(am.Hierarchy.graded), "levels": Key("int")},
+        "hierarchy": {**keys_of(am.Hierarchy.uniform), **keys_of(am.Hierarchy.graded)},
         "solver": {"method": Key(" | ".join(map(name_of, METHODS)), name_of(METHODS[0])),
                    **{name: key for kind in reversed(METHODS) for name, key in keys_of(kind).items()}},
         "adapt": keys_of(am.adapt),
@@ -277,7 +277,7 @@ def adaptation(settings: Settings) -> Arguments:
 
 
 def grids(task: am.ContactProblem, given: Arguments) -> am.Hierarchy:
-    """Return uniform grids, independent ones where sizes are given, or one of either bisected at contact."""
+    """Return uniform grids, or independent ones where sizes are given."""
     sized, divided = (any(key.split(".")[0] == name for key in given) for name in ("sizes", "divisions"))
     if sized and divided:
         raise ValueError("give hierarchy.divisions or hierarchy.sizes, not both")
@@ -285,21 +285,12 @@ def grids(task: am.ContactProblem, given: Arguments) -> am.Hierarchy:
                                                                              {"": task.domain}).values())
     if blocks and not (sized or divided):
         given = {"divisions": _DIVISIONS[task.dim]} | given
-    levels, uniform = given.pop("levels", None), divided or (blocks and not sized)
+    uniform = divided or (blocks and not sized)
     constructor = am.Hierarchy.uniform if uniform else am.Hierarchy.graded
     what = "uniform grids (without hierarchy.sizes)" if uniform else "hierarchy.sizes"
     arguments = arguments_of(constructor, given, "hierarchy.", what)
     _check_used(given, "hierarchy.", what, keys_of(constructor))
-    if levels is None:
-        return constructor(task, **arguments)
-    checks.integer("hierarchy.levels", levels, 1, 30)
-    if "transfer" in arguments:
-        raise ValueError("hierarchy.transfer belongs to meshes that are not nested; those of hierarchy.levels are")
-    first = constructor(task, **arguments)
-    if len(first) != 1:
-        raise ValueError("hierarchy.levels bisect one grid: give hierarchy.divisions = [8] or hierarchy.sizes = "
-                         f"[5e-3], got {len(first)} grids")
-    return am.Hierarchy.bisected(task, first.levels[0].mesh, levels)
+    return constructor(task, **arguments)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import pytest
 
 import adaptmg as am
 from adaptmg.cli import build
-from adaptmg.cli.build import grids, sections
+from adaptmg.cli.build import sections
 from adaptmg.study import Study
 from adaptmg.study.store import Store
 
@@ -203,15 +203,6 @@ def test_every_listed_default_of_a_method_is_its_default(method):
             value = build._value_of(known.default)
             value = float(value) if known.real else value
             assert build.solver_of({"method": build.name_of(method), key: value}) == method(), key
-
-
-@pytest.mark.parametrize("first", [{"divisions": (4,)}, {"sizes": (8e-3,), "contact_ratio": 2.0}])
-def test_bisections_at_contact(first):
-    case = am.cases.greco_bar()
-    begin, found = grids(case, dict(first)), grids(case, {**first, "levels": 2})
-    wanted = am.Hierarchy.bisected(case, begin.levels[0].mesh, 2)
-    assert len(found.levels) == 3 and found.levels[2].mesh.n_nodes == wanted.levels[2].mesh.n_nodes
-    assert (found.levels[0].mesh.points == begin.levels[0].mesh.points).all()
 
 
 @pytest.mark.parametrize(("adapt", "wanted"), [

@@ -10,7 +10,7 @@ from saddle import Parts
 
 import adaptmg as am
 from adaptmg.discrete.discretise import discretise
-from adaptmg.mesh import structured
+from adaptmg.mesh import refine_near, structured
 
 
 class TestPatch:
@@ -108,13 +108,13 @@ class TestCorner:
 
 
 class TestHierarchies:
-    @pytest.mark.filterwarnings("ignore:bisected, levels=3")
     def test_bisected_given_and_algebraic_levels_and_one_level(self):
         """The same solution of all, and less to ask where there is no mesh."""
         problem = bodies.bar_on_block(am.Coulomb(0.5))
         meshes = [structured(problem.domain, {"upper": k, "lower": k + 1}) for k in (3, 6)]
         given = am.Hierarchy.from_meshes(replace(problem, domain=None), meshes, transfer=am.L2())
-        bisected = am.Hierarchy.bisected(problem, structured(problem.domain, {"upper": 3, "lower": (5, 4)}), 3)
+        coarsest = structured(problem.domain, {"upper": 3, "lower": (5, 4)})
+        bisected = am.Hierarchy.from_meshes(problem, refine_near(coarsest, problem.pair_boundaries, 3))
         algebraic = am.Hierarchy.algebraic(given.finest.discrete, max_coarse=60)
         for grids, solver in ((bisected, am.FullMultigrid()), (bisected, am.Multigrid()), (given, am.FullMultigrid()),
                               (given, am.Multigrid()), (algebraic, am.Multigrid())):

@@ -82,8 +82,6 @@ def _objects():
     yield from each("n_old", lambda v: onto_domain(None, SQUARE, v), labelled((-1, 17)))
     yield Hostile("refine_near 25", lambda: refine_near(SQUARE, "top", 25), "levels")
     yield Hostile("refine_near 3D", lambda: refine_near(CUBE, "top", 12), "levels")
-    yield Hostile("bisected 40", lambda: am.Hierarchy.bisected(
-        am.cases.greco_bar(), structured(am.cases.greco_bar().domain, 2), 40), "levels")
     yield from each("boundaries", lambda v: refine_near(SQUARE, v), labelled(((), (1,))))
 
 

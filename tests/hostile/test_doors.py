@@ -110,7 +110,7 @@ DOORS = {
     am.Hierarchy.uniform: {"problem": bar, "divisions": [2, 4], "diagonal": "right"},
     am.Hierarchy.graded: {"problem": bar, "sizes": [0.01], "contact_ratio": 1.0, "transfer": am.L2()},
     am.Hierarchy.from_meshes: {"problem": bar, "meshes": lambda: [mesh()], "transfer": am.L2(), "contact_rows": True},
-    am.Hierarchy.bisected: {"problem": bar, "coarsest": mesh, "levels": 2}, am.Hierarchy.single: {"discrete": discrete},
+    am.Hierarchy.single: {"discrete": discrete},
     am.Hierarchy.from_prolongations: {"discrete": discrete, "prolongations": [np.eye(3)]},
     am.Hierarchy.algebraic: {"discrete": discrete, "max_coarse": 9},
     grids().append: {"mesh": mesh}, grids().without: {"level": 1}, grids().truncated: {"coarsest": 0},
