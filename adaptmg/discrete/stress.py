@@ -8,17 +8,17 @@ constant on an element, but for the hoop strain :math:`u_r / r` of axisymmetric 
 taken: its value at the centroid, :math:`\int u_r \big/ \int r`. The strain energy is
 :math:`\tfrac12 \int \sigma : (\varepsilon - \varepsilon_0)`, by the quadrature of the stiffness matrix.
 
-Smoothed elements take the trace from the edges, as their matrix does (S of :mod:`adaptmg.discrete.smoothed`), and the
-pressures p of groups of nodes, if any, as a mean of their corners:
+Smoothed elements have the stress that is in equilibrium, :math:`\sum_T V_T\, \sigma_T : \varepsilon_T(v) = b^T v`: by
+means around edges (S of :mod:`adaptmg.discrete.smoothed`), with the mean pressure p of the groups of their corners:
 
-.. math:: \sigma = \big(\lambda_1\, S\,\mathrm{tr}(\varepsilon - \varepsilon_0) + \bar p\big) I
-   + 2\mu (\varepsilon - \varepsilon_0) .
+.. math:: \sigma = \big(\lambda_1\, \mathrm{tr}\, S(\varepsilon - \varepsilon_0) + p\big) I
+   + 2\mu\, S(\varepsilon - \varepsilon_0) .
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -149,12 +149,8 @@ class StressData:
         """Strain energy, J (plane: J/m)."""
         elastic, u = self._elastic(mesh, displacement), _nodal(mesh, displacement)
         if self.smoothed:
-            volume = element_measures(mesh, self.axisymmetric)
-            means = smoothed(mesh, elastic.reshape(-1, 9), volume).reshape(elastic.shape)
-            body, lame = mesh.element_body, edge_lame(self.lame, self.shear)
-            density = (lame[body] * np.trace(elastic, axis1=1, axis2=2) * np.trace(means, axis1=1, axis2=2)
-                       + 2 * self.shear[body] * np.einsum("nij,nij->n", means, elastic))
-            return 0.5 * float(volume @ density) + self.volume_energy
+            density = np.einsum("nij,nij->n", replace(self, pressure=None)._stress(mesh, elastic), elastic)
+            return 0.5 * float(element_measures(mesh, self.axisymmetric) @ density) + self.volume_energy
         if not self.axisymmetric:
             return 0.5 * float(np.einsum("n,nij,nij", mesh.volumes, self._stress(mesh, elastic), elastic))
         total, (rule, weights) = 0.0, quadrature_rule(3, AXISYMMETRIC_DEGREE)
@@ -182,13 +178,13 @@ class StressData:
         return strain
 
     def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
-        body, diagonal = mesh.element_body, np.arange(3)
-        stress = 2 * self.shear[body][:, None, None] * strain
-        trace, lame = np.trace(strain, axis1=1, axis2=2), self.lame
+        body, diagonal, lame = mesh.element_body, np.arange(3), self.lame
         if self.smoothed:
-            trace = smoothed(mesh, trace[:, None], element_measures(mesh, self.axisymmetric))[:, 0]
+            volumes = element_measures(mesh, self.axisymmetric)
+            strain = smoothed(mesh, strain.reshape(-1, 9), volumes).reshape(strain.shape)
             lame = edge_lame(lame, self.shear)
-        isotropic = lame[body] * trace
+        stress = 2 * self.shear[body][:, None, None] * strain
+        isotropic = lame[body] * np.trace(strain, axis1=1, axis2=2)
         if self.pressure is not None:
             isotropic += self.pressure
         stress[:, diagonal, diagonal] += isotropic[:, None]

@@ -15,7 +15,7 @@ alternating diagonals and on bisected meshes, 3.0 to 3.2 on Netgen meshes, 3.3 t
 nearly constant on the meshes of one family; it is not proven to bound the error. Where body forces, or the hoop stress
 of smooth axisymmetric fields, rule the error it is 5.7 to 8.8 times the error; where a contact zone between curved
 bodies has one or two nodes up to 30 times, nearly all of it complementarity, until meshes resolve the zone. Of smoothed
-elements, on the meshes of four adaptive loops, it is 2.7 to 3.2 times the error of their stress.
+elements, on the meshes of four adaptive loops, it is 2 to 2.7 times the error of their stress.
 """
 
 from __future__ import annotations
