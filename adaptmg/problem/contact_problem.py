@@ -81,8 +81,8 @@ class ContactProblem:
         The strain of each element (the paper's), or its means around the edges of the mesh: the same unknowns, and a
         matrix with about twice the entries in the plane, three times in space. Smoothed elements pay in bending (two
         elements across a cantilever have .92 of the deflection, linear ones .52), for displacements and forces on
-        uniform meshes (errors 2 to 9 times smaller), and for stresses (1.5 times smaller, on adapted meshes too). They do
-        not pay for displacements at singularities and on adapted meshes, whose errors are the same.
+        uniform meshes (errors 2 to 9 times smaller), and for stresses (1.5 times smaller, on adapted meshes too). They
+        do not pay for displacements at singularities and on adapted meshes, whose errors are the same.
     name : str
         For tables and pictures.
     reference : mapping
