@@ -123,9 +123,9 @@ def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result
     if problem.axisymmetric:
         volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
     bodies = np.bincount(mesh.element_body, volume, len(mesh.bodies))
-    # the energy u'Au is at least that of these strains in that volume: rarely do they have to be computed
-    stressed = (result.checked is not None and problem.elements == "linear"
-                and not any(isinstance(load, InitialStrain) for load in problem.loads))
+    # the energy u'Au is at least that of these strains (smoothed elements: of their means around edges) in that volume:
+    # rarely do they have to be computed
+    stressed = result.checked is not None and not any(isinstance(load, InitialStrain) for load in problem.loads)
     if stressed and result.checked.energy_norm**2 < STRAIN**2 * SHARE * (stiffness * bodies).min():
         return
     size = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
