@@ -19,7 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.multigrid.truncated_step import TruncatedStep
-from adaptmg.smoother.factorisation import dofs_of, eliminate
+from adaptmg.smoother.factorisation import Eliminated, dofs_of, eliminate
 from adaptmg.smoother.interior_point import dense_factors, interior_point
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
@@ -40,8 +40,7 @@ class CoarseContact:
         nodes = np.unique(rows.indices // matrix.blocksize[0])
         fixed = np.zeros(matrix.shape[0], dtype=bool)
         fixed[levels[self.number].matrix.fixed] = True
-        system = LocalSystem.from_matrix(matrix, fixed, nodes)
-        self.eliminated = eliminate(system, coordinates[self.number], lenient=True)
+        self.eliminated = _eliminated(matrix, fixed, nodes, coordinates[self.number])
         self.unknowns = _CoarseSpan(self.eliminated.matrix, rows[:, self.eliminated.contact], dim)
         block = np.zeros((len(contact.nodes), dim, dim))
         block[(slice(None), *np.triu_indices(dim))] = contact.blocks.reshape(len(block), -1)
@@ -89,6 +88,21 @@ class CoarseContact:
         correction[step.matrix.fixed] = 0.0
         step.move(correction)
         return float(np.sqrt(max(solution.unknowns @ self.unknowns.product(solution.unknowns), 0.0)))
+
+
+#: springs that hold what no fine node tells apart, over the diagonal
+_SPRING = 1e-9
+
+
+def _eliminated(matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray, coordinates: np.ndarray | None
+                ) -> Eliminated:
+    """All but the coarse nodes that reach contact nodes eliminated. Galerkin matrices of independent meshes may be
+    singular without these; no force acts on what springs hold then."""
+    try:
+        return eliminate(LocalSystem.from_matrix(matrix, fixed, nodes), coordinates)
+    except ValueError:
+        held = sparse.bsr_array(matrix + sparse.diags_array(_SPRING * matrix.diagonal()), blocksize=matrix.blocksize)
+        return eliminate(LocalSystem.from_matrix(held, fixed, nodes), coordinates)
 
 
 def _without(rows: sparse.csr_array, fixed: np.ndarray) -> sparse.csr_array:

@@ -42,7 +42,9 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
         A user-defined one offers ``run`` (:class:`adaptmg.solver.record.Solver`). Default ``FullMultigrid()``, where
         coarse levels are only spaces ``Multigrid()``. On one level the quickest: ``ActiveSet()``, or for large problems
-        ``Multigrid()`` on coarse spaces made from the matrix; printing the result says which and why.
+        ``Multigrid()`` on coarse spaces made from the matrix. Where the coarsest level has more than 1500 unknowns:
+        without levels of less than 4 (2D: 2) times the nodes of the next coarser one, and ``ActiveSet()`` where none
+        is left and contact nodes are few. Printing the result says which and why.
     start : (n_nodes, dim) array or Result, optional
         Where to start, m; default zero. FullMultigrid makes its own start and refuses one. With Coulomb friction there
         may be several solutions (:func:`~adaptmg.cases.leaning_strut` has three), which other starts show.

@@ -47,7 +47,7 @@ from adaptmg.solver.record import Outcome, Run, Status
 class TruncatedIteration(StopTest):
     """Cycles on one level, measured after the smoothing, and their test.
     ``run`` asks the certificate and keeps the history. ``start``: "zero", "nested" or "given".
-    ``coarse`` makes the contact problem on a coarse level.
+    ``coarse`` makes the contact problem on a coarse level; ``costly``: that has more unknowns than it should.
     ``nested`` is the start (n_dofs,) from which ``rtol="discretisation"`` is measured. ``hands_over``: end where the
     tolerance is out of reach at the present speed."""
 
@@ -75,13 +75,15 @@ class TruncatedIteration(StopTest):
 
     def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
                  run: Run | None = None, start: str = "given", nested: np.ndarray | None = None,
-                 hands_over: bool = False, coarse: Callable[[], CoarseContact] | None = None) -> None:
+                 hands_over: bool = False, coarse: Callable[[], CoarseContact] | None = None,
+                 costly: bool = False) -> None:
         super().__init__(0.0 if rtol == "discretisation" else rtol, limit)
         self.multigrid, self.problem, self.run, self.sizes = multigrid, problem, run, Sizes(problem)
         self.residuals: list[float] = []
         self._nested, self._hands_over = nested, hands_over
         self._safe, self._was_safe = 0, False
         self._first, self._since = np.nan, 0
+        self._costly = costly
         self._coarse, self._start, self._moves, self._changed, self._shorten = coarse, start, list[float](), 0, False
 
     def step(self) -> State | Status:
@@ -126,7 +128,8 @@ class TruncatedIteration(StopTest):
         if not self.changes:
             return self._start == "zero"
         # after a nested start the first cycles settle most statuses by themselves
-        middle = self.MIDDLE if self._start == "zero" else self.LATE if len(self.changes) > 2 else self.LARGE
+        late = len(self.changes) > 2 and not self._costly
+        middle = self.MIDDLE if self._start == "zero" else self.LATE if late else self.LARGE
         return self.change > self.LARGE or (self.change > middle and self._changed > 1)
 
     def _correct(self) -> Status | None:
@@ -336,7 +339,8 @@ class TruncatedRun:
         with self.run.phase("cycles"):
             cycles = TruncatedIteration(step, problem, self.rtol, self.max_cycles, run=self.run, start=start,
                                         nested=nested, hands_over=problem.n_dofs <= FACTORISED[problem.dim],
-                                        coarse=partial(self._coarse_contact, step) if len(problem.contact) else None)
+                                        coarse=partial(self._coarse_contact, step) if len(problem.contact) else None,
+                                        costly=self.cycle.levels[0].matrix.n_dofs > CoarseContact.MOST)
             status = iterate(cycles, cycles, self.run)
         displacement = problem.with_prescribed(step.unknowns).reshape(-1, problem.dim)
         failed = status in (Status.STALLED, Status.DIVERGED) and cycles.rtol > 0 and not cycles.rests()

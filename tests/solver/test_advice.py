@@ -104,6 +104,18 @@ def test_one_mesh_takes_the_quickest_method_but_a_named_one(monkeypatch, tmp_pat
     assert given.solver_name == "SingleGrid(rtol=0.001)" and given.choice == "" and "solver=None" not in repr(given)
 
 
+@pytest.mark.parametrize(("divisions", "large", "method", "levels"), [
+    ((2, 3, 4, 8), 80, "FullMultigrid()", 3), ((4, 5, 6), 300, "ActiveSet(", 3), ((2, 4, 8), 80, "FullMultigrid()", 3)])
+def test_a_default_takes_the_levels_that_pay(monkeypatch, divisions, large, method, levels):
+    monkeypatch.setattr(solving, "LARGE_COARSEST", large)
+    grids = am.Hierarchy.uniform(am.cases.greco_block(), divisions=divisions)
+    every, result = am.solve(grids, am.FullMultigrid()), am.solve(grids)
+    assert every.choice == "" and len(every.levels) == len(divisions)
+    assert result.solver_name.startswith(method) and len(result.levels) == levels
+    assert bool(result.choice) is (divisions != (2, 4, 8)) and result.choice in repr(result)
+    assert result.displacement == pytest.approx(every.displacement, abs=1e-6 * np.abs(every.displacement).max())
+
+
 def test_a_long_phase_is_named_and_compiling_counted_apart(capsys, monkeypatch):
     monkeypatch.setattr(record.threading, "Timer", lambda seconds, call, text: SimpleNamespace(
         start=lambda: call(*text), cancel=lambda: None))
