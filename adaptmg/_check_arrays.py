@@ -6,7 +6,7 @@ Compiled code follows the index arrays of a matrix wherever they point. They are
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 from scipy import sparse
@@ -15,7 +15,7 @@ from adaptmg._checks import shown
 
 _COMPRESSED = ("csr", "csc", "bsr")
 Compressed = sparse.csr_array | sparse.csc_array | sparse.bsr_array
-_Compressed = TypeVar("_Compressed", sparse.csr_array, sparse.csc_array, sparse.bsr_array)
+_Compressed = TypeVar("_Compressed", bound=Compressed)
 _LARGEST_INDEX = np.iinfo(np.int32).max
 
 
@@ -137,6 +137,11 @@ def _check_indices(name: str, indices: np.ndarray, size: int, what: str) -> None
     if len(indices) and (int(indices.min()) < 0 or int(indices.max()) >= size):
         wrong = int(indices.min()) if int(indices.min()) < 0 else int(indices.max())
         raise ValueError(f"{name}: {what} index {wrong} is outside the matrix (0 to {size - 1}, in blocks)")
+
+
+def shape_of(matrix: sparse.sparray) -> tuple[int, int]:
+    """Return the shape of a matrix as type checkers take it: of scipy's arrays it may be None to them."""
+    return cast(tuple[int, int], matrix.shape)
 
 
 def narrowed(matrix: _Compressed) -> _Compressed:

@@ -7,13 +7,14 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise, product
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
+from adaptmg._check_arrays import shape_of
 from adaptmg._numba import clock, compiling_seconds
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.discretise import same
@@ -31,12 +32,11 @@ from adaptmg.level import (
 )
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.netgen_guard import MAX_NODES
-from adaptmg.problem import ContactPair, ContactProblem
+from adaptmg.problem import Assembly, Box, ContactPair, ContactProblem, Rectangle
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
-T = TypeVar("T")
 Divisions = int | tuple[int, ...]
 
 
@@ -84,7 +84,7 @@ class Hierarchy:
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
             wanted = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
-                wanted = (fine.matrix.shape[0], coarse.matrix.shape[0])
+                wanted = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
             for name in ("prolongation", "surface_prolongation"):
                 matrix = vars(fine)[name]
                 if (matrix is None and name == "prolongation") or (matrix is not None and matrix.shape != wanted):
@@ -124,8 +124,9 @@ class Hierarchy:
 
         need_domain(problem)
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))
-        _check_total("divisions", [lattice_nodes(problem.domain, n) for n in divisions], problem.dim)
-        return cls._build(problem, lambda: [structured(problem.domain, n, diagonal=diagonal) for n in divisions], None,
+        domain = cast("Rectangle | Box | Assembly", problem.domain)
+        _check_total("divisions", [lattice_nodes(domain, n) for n in divisions], problem.dim)
+        return cls._build(problem, lambda: [structured(domain, n, diagonal=diagonal) for n in divisions], None,
                           f"uniform {', '.join(map(_label, divisions))}", begin)
 
     @classmethod
@@ -174,7 +175,7 @@ class Hierarchy:
             for size, growth in zip(sizes, gradings, strict=True)], transfer, origin, begin, contact_rows)
 
     @classmethod
-    def from_meshes(cls, problem: ContactProblem, meshes: Sequence[object], transfer: Transfer | None = None,
+    def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
                     contact_rows: bool = True) -> Hierarchy:
         """From given meshes, coarse to fine.
 
@@ -295,7 +296,7 @@ class Hierarchy:
         return replace(self, levels=(first, *rest), timings=dict(self.timings))
 
     @one_blas_thread()
-    def append(self, mesh: object) -> Self:
+    def append(self, mesh: Any) -> Self:
         """With one finer mesh (MeshArrays, ngsolve.Mesh or path); what is there is neither assembled nor located again.
 
         It is the same as :meth:`from_meshes` makes of all meshes. The mesh need not be nested. ValueError if the levels
@@ -421,10 +422,10 @@ class Hierarchy:
         return "\n".join(lines)
 
 
-def _each(name: str, value: T | Sequence[T], one: tuple[type, ...]) -> tuple[T, ...]:
+def _each(name: str, value: Any, one: tuple[type, ...]) -> tuple[Any, ...]:
     if isinstance(value, one) and not isinstance(value, bool):
         return (value,)
-    values = checks.listed(name, value, "values, one a level, coarse to fine")
+    values = checks.listed(name, cast(Sequence, value), "values, one a level, coarse to fine")
     if not values:
         raise ValueError(f"{name} is empty: no meshes; give at least one, coarse to fine")
     return values
@@ -459,11 +460,12 @@ def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     if problem.axisymmetric or len(mesh.bodies) < 2:
         return []
     body = np.zeros(mesh.n_nodes, dtype=np.int64)
-    body[mesh.elements] = mesh.element_body[:, None]
+    of_element = cast(np.ndarray, mesh.element_body)
+    body[mesh.elements] = of_element[:, None]
     of = {name: set(body[mesh.boundary_nodes(name)].tolist()) for name in mesh.boundaries}
-    paired = {frozenset(ends) for pair in problem.contact if isinstance(pair, ContactPair)
+    paired = {frozenset(ends) for pair in cast(tuple, problem.contact) if isinstance(pair, ContactPair)
               for ends in product(of.get(pair.slave, ()), of.get(pair.master, ()))}
-    apart = [ends for ends in combinations(np.unique(mesh.element_body).tolist(), 2) if frozenset(ends) not in paired]
+    apart = [ends for ends in combinations(np.unique(of_element).tolist(), 2) if frozenset(ends) not in paired]
     return [f"the bodies {mesh.bodies[a]!r} and {mesh.bodies[b]!r} lie in each other, at {x.round(9).tolist()} among "
             "other places, and are not a contact pair: nothing keeps them apart. Move one of them, or declare an "
             "am.ContactPair" for a, b, x in overlapping_bodies(mesh, apart)]

@@ -15,8 +15,8 @@ from scipy import sparse
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._check_arrays import indices_frozen
-from adaptmg._on_demand import OnDemand, made_on_demand
+from adaptmg._check_arrays import indices_frozen, shape_of
+from adaptmg._on_demand import ABSENT, OnDemand, made_on_demand
 from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
@@ -57,21 +57,27 @@ class Level:
 
     # the first three may be given as None; reading them then raises (properties below the class)
     discrete: DiscreteProblem
-    mesh: MeshArrays = None
-    prolongation: sparse.csr_array = None
+    mesh: MeshArrays = ABSENT
+    prolongation: sparse.csr_array = ABSENT
     mesh_ratio: float = float("nan")
     galerkin: sparse.bsr_array | None = None
     surface_prolongation: sparse.csr_array | None = None
+
+    if TYPE_CHECKING:
+        def __init__(self, discrete: DiscreteProblem | None, mesh: MeshArrays | None = None,
+                     prolongation: sparse.csr_array | None = None, mesh_ratio: float = ...,
+                     galerkin: sparse.bsr_array | None = None,
+                     surface_prolongation: sparse.csr_array | None = None) -> None: ...
 
     def __post_init__(self) -> None:
         discrete, mesh = self.discrete_or_none, self.mesh_or_none
         if discrete is not None:
             checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem or None")
-        elif not (sparse.issparse(self.galerkin) and self.galerkin.format == "bsr"):
+        elif not isinstance(self.galerkin, sparse.bsr_array):
             raise TypeError("galerkin must be a bsr_array without a discrete problem, got "
                             f"{checks.described(self.galerkin)}")
         if self.galerkin is not None:
-            rows, columns = check_arrays.sparse_matrix("galerkin", self.galerkin).shape
+            rows, columns = shape_of(check_arrays.sparse_matrix("galerkin", self.galerkin))
             if rows != columns:
                 raise ValueError(f"galerkin must be square, got {(rows, columns)}")
             object.__setattr__(self, "galerkin", indices_frozen(self.galerkin))
@@ -118,12 +124,13 @@ class Level:
     @property
     def matrix(self) -> sparse.bsr_array:
         """The discretised matrix, or the Galerkin one of a coarse space."""
-        return self.galerkin if self.discrete_or_none is None else self.discrete.matrix
+        coarse = self.galerkin if self.discrete_or_none is None else None
+        return self.discrete.matrix if coarse is None else coarse
 
     @property
     def n_nodes(self) -> int:
         """Nodes; of a coarse space the rows of blocks of its matrix."""
-        return self.matrix.shape[0] // self.matrix.blocksize[0]
+        return shape_of(self.matrix)[0] // self.matrix.blocksize[0]
 
     def prolong(self, u: ArrayLike) -> np.ndarray:
         """Return values on this level from those on the next coarser one (primal): P u.
@@ -145,7 +152,7 @@ class Level:
         >>> level.inject(level.prolong(range(9))).astype(int).tolist()
         [0, 1, 2, 3, 4, 5, 6, 7, 8]
         """
-        return self.prolongation @ _nodal("u", u, self.prolongation.shape[1])
+        return self.prolongation @ _nodal("u", u, shape_of(self.prolongation)[1])
 
     def restrict(self, r: ArrayLike) -> np.ndarray:
         """Return forces or residuals (dual) on the next coarser level from those on this one: P' r, with the same work
@@ -155,7 +162,7 @@ class Level:
         ----------
         r : (n_nodes,) or (n_nodes, k) array
         """
-        return self.prolongation.T @ _nodal("r", r, self.prolongation.shape[0])
+        return self.prolongation.T @ _nodal("r", r, shape_of(self.prolongation)[0])
 
     def inject(self, u: ArrayLike) -> np.ndarray:
         """Return values (primal) on the next coarser level from those on this one: of the node with the largest weight
@@ -166,7 +173,7 @@ class Level:
         u : (n_nodes,) or (n_nodes, k) array
         """
         at = sparse.csc_array(self.prolongation).argmax(axis=0)
-        return _nodal("u", u, self.prolongation.shape[0])[np.asarray(at).reshape(-1)]
+        return _nodal("u", u, shape_of(self.prolongation)[0])[np.asarray(at).reshape(-1)]
 
 
 def _nodal(name: str, value: ArrayLike, rows: int) -> np.ndarray:
@@ -216,8 +223,8 @@ def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
         return True
     arrays = [(p.contact.nodes, p.contact.boundary) for p in (a, b)]
     if a.coupling is not None and b.coupling is not None:
-        arrays = [(*own, *(getattr(p.coupling.weights, part) for part in ("indptr", "indices", "data")), p.fixed)
-                  for p, own in zip((a, b), arrays, strict=True)]
+        arrays = [(*own, weights.indptr, weights.indices, weights.data, p.fixed) for p, weights, own in zip(
+            (a, b), (a.coupling.weights, b.coupling.weights), arrays, strict=True)]
     return (a.contact.names, a.contact.masters, a.coupling is None) == (
         b.contact.names, b.contact.masters, b.coupling is None) and all(map(np.array_equal, *arrays))
 

@@ -34,7 +34,7 @@ from distributed.utils import sync
 
 from adaptmg import _checks as checks
 from adaptmg.study import execute
-from adaptmg.study.execute import Execute, Finished, Order, Point, RunFunction, Task, UnfitWorker
+from adaptmg.study.execute import Done, Execute, Finished, Order, Point, RunFunction, Task, UnfitWorker
 from adaptmg.study.processes import MOST_TRIES, local_cluster
 
 _log = logging.getLogger(__name__)
@@ -80,7 +80,7 @@ class OnCluster:
         """Runs that are being computed."""
         return 0 if self._runs is None else len(self._runs.out)
 
-    def __call__(self, task: Task, points: Iterator[Point | None]) -> Iterator[list[tuple[Point, Finished]]]:
+    def __call__(self, task: Task, points: Iterator[Point | None]) -> Done:
         order = Order(execute.sent(task.function), execute.identity(), task.fingerprint.seen(), task.depends)
         check_workers(self._client, order, limited=task.limit_s is not None)
         self._runs = _Runs(self._client, order, points, task.limit_s)
@@ -170,7 +170,7 @@ class _Runs:
         self._slots, self._looked = 1, -math.inf
         self._large: set[str] = set()  # workers that held too much memory
 
-    def finished(self) -> Iterator[list[tuple[Point, Finished]]]:
+    def finished(self) -> Done:
         """Yield runs as they finish, those of one moment together."""
         self._client.subscribe_topic("worker-restart-memory", lambda event: self._large.add(event[1]["worker"]))
         self._client.subscribe_topic(self._name, self._begun)

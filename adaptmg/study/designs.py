@@ -83,7 +83,7 @@ def _mapping(name: str, given: object, words: str) -> Mapping[str, object]:
 def _values(name: str, values: object) -> list[Value]:
     """Return the values of a parameter; a sequence too long, or without an end, is refused before they are made."""
     try:
-        length = -1 if isinstance(values, str | Mapping) or not isinstance(values, Iterable) else len(values)
+        length = -1 if isinstance(values, str | Mapping) else len(cast(Sequence[Value], values))
     except OverflowError:
         length = 2**63
     except TypeError:  # a generator, an array without an axis
@@ -93,7 +93,7 @@ def _values(name: str, values: object) -> list[Value]:
                         f"{checks.shown(values)}: others may have no end")
     if not _check_length(length):
         raise ValueError(f"parameters[{name!r}] is empty: give at least one value")
-    return [parameter_value(name, value) for value in values]
+    return [parameter_value(name, value) for value in cast(Sequence[Value], values)]
 
 
 class Grid(Design):
@@ -144,7 +144,7 @@ class Points(Design):
 
     def __init__(self, points: Sequence[Mapping[str, Value]] | pd.DataFrame) -> None:
         if hasattr(points, "to_dict") and hasattr(points, "columns"):
-            points = points.to_dict("records")
+            points = cast(Sequence[Mapping[str, Value]], cast("pd.DataFrame", points).to_dict("records"))
         if isinstance(points, str | Mapping) or not isinstance(points, Sequence) or not points:
             raise TypeError(f"points must be a list of mappings of names to values, got {checks.shown(points)}")
         _check_length(len(points))
@@ -215,7 +215,7 @@ class _Sample(Points):
 
 
 def _ends(name: str, given: object, logarithmic: bool) -> tuple[float, float]:
-    ends = checks.listed(f"ranges[{name!r}]", given, "two numbers, (low, high)")
+    ends = checks.listed(f"ranges[{name!r}]", cast(Iterable[float], given), "two numbers, (low, high)")
     if len(ends) != 2:
         raise ValueError(f"ranges[{name!r}] must be two numbers, (low, high), got {checks.shown(given)}")
     whole = all(isinstance(end, int | np.integer) for end in ends)

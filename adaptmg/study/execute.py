@@ -16,7 +16,7 @@ import platform
 import subprocess
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
@@ -60,12 +60,13 @@ class Finished:
 
 
 #: points are None while other processes compute those that are left
-Execute = Callable[[Task, Iterator[Point | None]], Iterator[list[tuple[Point, Finished]]]]
+Done = Generator[list[tuple[Point, Finished]], None, None]
+Execute = Callable[[Task, Iterator[Point | None]], Done]
 #: seconds between two looks at what other processes compute
 LOOK_S = 0.5
 
 
-def in_turn(task: Task, points: Iterator[Point | None]) -> Iterator[list[tuple[Point, Finished]]]:
+def in_turn(task: Task, points: Iterator[Point | None]) -> Done:
     """Run after run, in this process."""
     if task.fingerprint.uses_adaptmg:
         warm()

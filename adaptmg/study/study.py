@@ -39,7 +39,7 @@ from adaptmg.study.store import Store, new_owner
 if TYPE_CHECKING:
     import numpy as np
     from distributed import Client
-    from distributed.deploy import Cluster
+    from distributed.deploy.cluster import Cluster
 
     from adaptmg.mesh.arrays import MeshArrays
     from adaptmg.solver.result import Result
@@ -207,7 +207,7 @@ class Study:
     def status(self) -> StudyStatus:
         """Return how many runs are done, failed, stale and missing, and why runs are stale."""
         found, versions, stored = self._fingerprint(), environment(), self._store.get(self.name)
-        counts = dict.fromkeys(("done", "failed", "stale", "missing"), 0)
+        counts: dict[str, int] = dict.fromkeys(("done", "failed", "stale", "missing"), 0)
         stale, errors = [], {}
         for point in self.points():
             record = stored.get(canonical(point))
@@ -215,7 +215,7 @@ class Study:
             counts[state] += 1
             if state == "stale":
                 stale.append(record)
-            elif state == "failed":
+            elif state == "failed" and record is not None:
                 errors[record.error] = errors.get(record.error, 0) + 1
         return StudyStatus(name=self.name, **counts, errors=errors,
                            reasons=reasons(stale, found, versions, self._store.origins()))
