@@ -36,6 +36,8 @@ from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
 _IDLE = 1e-12
 #: of the energy: the accuracy of its differences, with solutions to a relative 1e-8
 _RESOLVED = 1e-8
+# from a node to the middle of an element
+_INWARD = 1e-9
 
 
 @dataclass(frozen=True)
@@ -76,9 +78,13 @@ class Reference:
         prescribed = _constants(this.problem, mesh)
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
+        # just inside one of the elements at each node: the faces of a crack lie at one place
+        inside = np.empty(mesh.points.shape)
+        inside[mesh.elements] = mesh.points[mesh.elements].mean(axis=1, keepdims=True)
+        places = mesh.points + _INWARD * (inside - mesh.points)
         for k, body in enumerate(mesh.bodies):
             here = acting & (owner == k)
-            points[body], on_body[body], constants[body] = mesh.points[here], forces[here], prescribed[here]
+            points[body], on_body[body], constants[body] = places[here], forces[here], prescribed[here]
         return cls(this.problem, this.norm**2, checks.nonnegative("own_error", own_error), points, on_body, constants)
 
     def against(self, result: Result) -> float:

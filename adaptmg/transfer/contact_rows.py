@@ -15,6 +15,10 @@ bodies included; and the same with the rows of the slave nodes replaced by inter
 coarse slave surface, weights >= 0 with sums 1 over the coarse slave nodes of the pair, for the monotone correction.
 Other coarse nodes of the surface (where it hangs over, or belongs to another pair) have no values relative to this
 master: those next to them take over their weights.
+
+The two faces of a crack lie at one place. Nodes on a face are interpolated along the coarse one, whatever the transfer
+does elsewhere and whether they are in contact; so are inner nodes between the meshes of a curved face, which lie inside
+the fine one and outside the coarse one, that is on the other side of the coarse crack.
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg.discrete.contact_nodes import largest_entry
+from adaptmg.discrete.contact_nodes import ContactNodes, largest_entry
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
@@ -76,6 +80,8 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
         _check_bodies(nodal, coarse, fine, transfer)
     slave_rows = [_along(coarse, fine, name, contact.nodes[contact.boundary == k])
                   for k, name in enumerate(contact.names)]
+    for face, other in _crack_faces(fine, contact):
+        nodal = with_contact_rows(nodal, *_along(coarse, fine, face, _on_side(nodal, coarse, fine, face, other)))
     if contact_rows:
         master_rows = [_along(coarse, fine, name, fine.boundary_nodes(name)) for name in contact.masters if name]
         for nodes, rows in (*master_rows, *slave_rows):
@@ -93,6 +99,29 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
             rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
             surface = with_contact_rows(surface, nodes, rows)
     return LevelTransfer(relative, None if surface is nodal else surface)
+
+
+def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str]]:
+    """Each face of a crack, and the other one: pairs, or called left and right, that share nodes."""
+    pairs = [*zip(contact.names, contact.masters, strict=True),
+             *((name, name.removesuffix("left") + "right") for name in mesh.boundaries if name.endswith(".left"))]
+    shared = [pair for pair in dict.fromkeys(pairs) if set(pair) <= set(mesh.boundaries)
+              and len(np.intersect1d(*map(mesh.boundary_nodes, pair)))]
+    return [faces for pair in shared for faces in (pair, pair[::-1])]
+
+
+def _on_side(nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, face: str, other: str) -> np.ndarray:
+    """Fine nodes on a face, and inner ones between it and the coarse one, of those that follow the other coarse one."""
+    near = np.flatnonzero(abs(nodal) @ np.isin(np.arange(coarse.n_nodes), coarse.boundary_nodes(other)))
+    between = np.ones(len(near), dtype=bool)
+    for mesh, sign in ((coarse, 1), (fine, -1)):
+        surface = mesh.surface(face)
+        facet, weights, _ = BoxTree(mesh.points, surface.facets).nearest(fine.points[near])
+        foot = np.einsum("nk,nkd->nd", weights, mesh.points[surface.facets[facet]])
+        between &= sign * np.einsum("nd,nd->n", fine.points[near] - foot, surface.normals[facet]) > 0
+        # a node ahead of a tip is on neither side
+        between &= (weights * np.isin(surface.facets[facet], mesh.boundary_nodes(other))).sum(axis=1) < 1
+    return np.union1d(fine.boundary_nodes(face), near[between])
 
 
 def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:

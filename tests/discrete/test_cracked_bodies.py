@@ -66,3 +66,37 @@ def test_stress_intensity_factors_are_those_of_an_infinite_plate():
         result.stress_intensity("crack", radius=1.0)
     with pytest.raises(ValueError, match="too coarse"):
         result.stress_intensity("crack", radius=0.1)
+
+
+@pytest.mark.parametrize("in_contact", [True, False])
+@pytest.mark.parametrize("chords", [(4, 4), (2, 24)])
+def test_a_jump_stays_a_jump(in_contact, chords):
+    # a curved crack: a fine node between its two meshes belongs to the fine side
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=1.0, poisson=0.3), law=am.Coulomb(0.3), loads=(am.Pressure("top", P),),
+        contact=(am.ContactPair("arc.left", "arc.right") if in_contact
+                 else am.Contact("bottom", am.Plane((0, -2), (0, 1)))),
+        supports=(am.Support("left", x=0, y=0),))
+    meshes, fields, sides = [], [], []
+    for n, size in zip(chords, (0.5, 0.1), strict=True):
+        angles = np.radians(np.linspace(30, 150, n + 1))
+        plate = am.Cracked(am.Rectangle(width=4, height=4, origin=(-2, -2)),
+                           {"arc": np.column_stack([np.cos(angles), np.sin(angles)])})
+        mesh = am.mesh.graded(plate, size)
+        inside = np.hypot(*mesh.points.T) < np.cos(np.radians(60 / n)) / np.cos(
+            (np.arctan2(mesh.points[:, 1], mesh.points[:, 0]) - np.pi / 6) % np.radians(120 / n) - np.radians(60 / n))
+        left, right = (mesh.boundary_nodes(f"arc.{side}") for side in ("left", "right"))
+        side = np.where(inside, 1.0, -1.0)
+        side[left], side[right], side[np.intersect1d(left, right)] = 1.0, -1.0, 0.0
+        at = np.clip(1 - abs(np.degrees(np.arctan2(mesh.points[:, 1], mesh.points[:, 0])) - 90) / 60, 0, 1)
+        meshes, fields, sides = [*meshes, mesh], [*fields, side * at], [*sides, side]
+    grids = am.Hierarchy.from_meshes(problem, meshes)
+    level, relative = grids.finest, fields[0]
+    if in_contact:
+        relative = grids[0].discrete.relative(np.column_stack([fields[0]] * 2))
+    carried = level.prolong(relative)
+    if in_contact:
+        carried = level.discrete.physical(carried.ravel())[:, 0]
+    assert (carried * sides[1] > -1e-12).all()
+    faces = np.union1d(*(meshes[1].boundary_nodes(f"arc.{side}") for side in ("left", "right")))
+    assert np.abs(carried - fields[1])[faces].max() < 0.1
