@@ -1,3 +1,4 @@
+from .mesh_files import mesh as mesh
 from .petsc_files import petsc as petsc
 from .report import Report as Report
 from .study_page import study_report as study_report

@@ -3,7 +3,7 @@ from .bisection import bisect as bisect, refine_near as refine_near
 from .bisection.onto_domain import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized
 from .netgen_solid import solid_mesh as solid_mesh
-from .read import as_mesh as as_mesh, from_gmsh as from_gmsh, from_ngsolve as from_ngsolve
+from .read import as_mesh as as_mesh, from_file as from_file, from_ngsolve as from_ngsolve
 from .slits import split as split
 from .size_near import SizeNear as SizeNear
 from .soundness import (

@@ -113,6 +113,8 @@ class MeshArrays:
         a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
     lattices : tuple of Lattice
         By which interpolation between structured meshes needs no search, one a body; empty for other meshes.
+    notes : tuple of str
+        What :func:`adaptmg.mesh.from_file` says of the file: elements that were cut, materials, what was not read.
 
     Examples
     --------
@@ -133,6 +135,7 @@ class MeshArrays:
     sound: bool = field(default=False, init=False, repr=False)
     refinement: Refinement | None = field(default=None, init=False, repr=False)
     lattices: tuple[Lattice, ...] = field(default=(), init=False, repr=False)
+    notes: tuple[str, ...] = field(default=(), init=False, repr=False)
 
     if TYPE_CHECKING:
         def __init__(self, points: ArrayLike, elements: ArrayLike, facets: ArrayLike, facet_labels: ArrayLike,
@@ -164,7 +167,7 @@ class MeshArrays:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
         return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
                             self.element_body, self.bodies), {name: getattr(self, name)
-                                                       for name in ("sound", "refinement", "lattices")}
+                                                       for name in ("sound", "refinement", "lattices", "notes")}
 
     def __copy__(self) -> MeshArrays:
         # what is frozen needs no second copy, and a source that nobody has asked for yet is built once

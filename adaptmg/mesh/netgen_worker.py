@@ -10,12 +10,10 @@ import math
 import os
 import pickle
 import queue
-import re
 import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 
 import netgen.meshing
 import numpy as np
@@ -49,8 +47,6 @@ _MAX_EDGE = 0.4
 _NO_LIMIT = 1e99
 # volumes of boolean operations add up to 1e-9 of the operands
 _VOLUME_TOLERANCE = 1e-6
-# nodes of an element by Gmsh's number of its type
-_WIDTHS = {15: 1, 1: 2, 8: 3, 2: 3, 9: 6, 4: 4, 11: 10}
 # parameters of samples of surfaces: angles of those that are turned
 _ACROSS, _ALONG = (0.1, 0.5, 0.9, 1.3, 1.7), (0.01, 0.04, 0.07, 0.1, 0.13)
 _SIDES = ("left", "right", "front", "back", "bottom", "top")
@@ -334,82 +330,41 @@ def read_vol(path: str) -> Tables:
     return tables(mesh)
 
 
-GmshTables = tuple[np.ndarray, list[tuple[str, np.ndarray, np.ndarray]], dict[tuple[int, int], str]]
+MeshioTables = tuple[np.ndarray, list, list[str], dict, dict]
 
 
-def read_gmsh(path: str) -> GmshTables:
-    """Points, blocks of cells (kind, nodes, physical group) and names of groups by dimension and number."""
+def read_meshio(path: str) -> MeshioTables:
+    """Points, cells (kind, nodes, body), bodies, faces and sets of nodes of a file that meshio reads."""
     import meshio
 
-    raw = meshio.gmsh.read(path)
-    _check_sections(Path(path).read_bytes(), raw)
-    tags = raw.cell_data.get("gmsh:physical", [np.zeros(len(block.data), dtype=np.int64) for block in raw.cells])
-    blocks = [(block.type, np.asarray(block.data), np.abs(tag)) for block, tag in zip(raw.cells, tags, strict=True)]
-    return raw.points, blocks, {(int(dim), int(number)): name for name, (number, dim) in raw.field_data.items()}
+    try:
+        raw = meshio.read(path)
+    except (SystemExit, meshio.ReadError) as error:
+        # meshio ends the process where readers fail
+        raise ValueError(f"meshio does not read it ({error})") from None
+    dim = max((block.dim for block in raw.cells), default=0)
+    bodies, faces, labels = ["body"], {}, [np.zeros(len(block.data), dtype=np.int64) for block in raw.cells]
+    for name, members in (raw.cell_sets or _numbered(raw.cell_data)).items():
+        for block, label, rows in zip(raw.cells, labels, members, strict=True):
+            if rows is not None and len(rows) and block.dim == dim:
+                bodies += [name] * (bodies[-1] != name)
+                label[rows] = len(bodies) - 1
+            elif rows is not None and len(rows):
+                faces.setdefault(name, []).append((block.type, np.asarray(block.data)[rows]))
+    faces = {name: kept for name, own in faces.items()
+             if (kept := [(kind, nodes) for kind, nodes in own if meshio.CellBlock(kind, nodes).dim == dim - 1])}
+    points = np.zeros((len(raw.points), 3))
+    points[:, :raw.points.shape[1]] = raw.points
+    cells = [(block.type, np.asarray(block.data), label) for block, label in zip(raw.cells, labels, strict=True)]
+    return points, cells, bodies, faces, {name: np.asarray(rows) for name, rows in raw.point_sets.items()}
 
 
-def _check_sections(data: bytes, raw: object) -> None:
-    """ValueError for damage that meshio reads over: sections without an end, wrong counts, nodes below 1."""
-    version, binary = re.match(rb"\s*\$MeshFormat\s+(\S+)\s+([01])\s+8\s", data).groups()
-    if version not in (b"2.2", b"4.1"):
-        raise ValueError(f"its version is {version.decode()}; it must be MSH 2.2 or 4.1")
-    binary = binary == b"1"
-    for name in (b"Nodes", b"Elements") if binary else re.findall(rb"^\$(?!End)(\w+)", data, re.MULTILINE):
-        if data.count(b"$" + name) != 1 or data.count(b"$End" + name) != 1:
-            raise ValueError(f"the section ${name.decode()} does not end, or comes twice; the file is cut off")
-    nodes, elements = (data.partition(b"$" + name)[2].partition(b"\n")[2].partition(b"$End" + name)[0]
-                       for name in (b"Nodes", b"Elements"))
-    widths = [(len(block.data), block.data.shape[1]) for block in raw.cells]
-    if version == b"4.1":
-        # a block has a header of four numbers, three of them of 4 bytes in binary files
-        for what, section, size in (("Nodes", nodes, 4 * len(raw.points)),
-                                    ("Elements", elements, sum(n * (1 + width) for n, width in widths))):
-            blocks, count = (np.frombuffer(section[:16], "u8") if binary else section.split()[:2])
-            expected = 32 + 20 * int(blocks) + 8 * size if binary else 4 + 4 * int(blocks) + size
-            found = len(section.removesuffix(b"\n")) if binary else len(section.split())
-            if found != expected or (what == "Elements" and int(count) != sum(n for n, _ in widths)):
-                raise ValueError(f"the section ${what} does not hold as many entries as it says")
-        return
-    corners = (_corners_binary if binary else _corners_text)(elements)
-    if not binary and len(nodes.split()) != 1 + 4 * int(nodes.split()[0]):
-        raise ValueError("the section $Nodes does not hold as many entries as it says")
-    if len(corners) != sum(n * width for n, width in widths) or corners.min(initial=1) < 1:
-        raise ValueError("the section $Elements does not hold as many entries as it says, or names nodes below 1")
-
-
-def _width(kind: int) -> int:
-    if kind not in _WIDTHS:
-        raise ValueError(f"it holds elements of the type {kind}; only triangles and tetrahedra can be used")
-    return _WIDTHS[kind]
-
-
-def _corners_text(section: bytes) -> np.ndarray:
-    """The nodes of all elements of MSH 2.2: number, type, number of tags, tags, nodes."""
-    lines = [line.split() for line in section.strip().splitlines()]
-    found: list[bytes] = []
-    for line in lines[1:]:
-        width = _width(int(line[1]))
-        if len(line) != 3 + int(line[2]) + width:
-            raise ValueError("a line of the section $Elements does not hold as many entries as it says")
-        found += line[-width:]
-    if len(lines) != int(lines[0][0]) + 1:
-        raise ValueError("the section $Elements does not hold as many entries as it says")
-    return np.array(found, dtype="S").astype(np.int64)
-
-
-def _corners_binary(section: bytes) -> np.ndarray:
-    """The same of a binary section, whose rows come in blocks behind headers of three numbers."""
-    count, _, rest = section.partition(b"\n")
-    at, n_found, found = 0, 0, []
-    while n_found < int(count):
-        kind, n, tags = (int(number) for number in np.frombuffer(rest, "i4", 3, at))
-        if n < 1 or tags < 0:
-            raise ValueError(f"a block of $Elements says {n} elements of {tags} tags")
-        width = 1 + tags + _width(kind)
-        found.append(np.frombuffer(rest, "i4", n * width, at + 12).reshape(n, width)[:, 1 + tags:].ravel())
-        n_found += n
-        at += 12 + 4 * n * width
-    return np.concatenate(found)
+def _numbered(cell_data: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[np.ndarray]]:
+    """Sets of cells by the numbers of the first data that are whole numbers."""
+    numbers = next((parts for parts in cell_data.values() if all(part.dtype.kind in "iu" and part.ndim == 1
+                                                                 for part in parts)), [])
+    values = np.unique(np.concatenate(numbers)) if numbers else []
+    return {str(value): [np.flatnonzero(part == value) for part in numbers] for value in values}
 
 
 def _serve() -> None:

@@ -112,7 +112,7 @@ MSH4_DAMAGE = {
     "4 node 0": ("1 1 2 3\n", "1 1 2 0\n"), "4 node number float": ("\n3\n", "\n2.5\n"),
     "4 10**9 elements": ("2 1 2 2\n", "2 1 2 1000000000\n"),
     "4 10**9 blocks": ("$Elements\n2 6", "$Elements\n1000000000 6"),
-    "4 unknown type": ("2 1 2 2\n", "2 1 99 2\n"), "4 no groups": (" 1 5 0\n", " 0 0\n"),
+    "4 unknown type": ("2 1 2 2\n", "2 1 99 2\n"),
     "4 fewer elements": ("$Elements\n2 6", "$Elements\n2 5"), "4 fewer nodes": ("$Nodes\n1 4", "$Nodes\n1 3"),
 }
 

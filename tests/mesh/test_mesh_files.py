@@ -14,7 +14,7 @@ from netgen.csg import unit_cube
 from netgen.geom2d import SplineGeometry
 from netgen_text import VOL
 
-from adaptmg.mesh import as_mesh, check_mesh, from_gmsh, from_ngsolve, structured
+from adaptmg.mesh import as_mesh, check_mesh, from_file, from_ngsolve, structured
 from adaptmg.problem import Assembly, Box, Rectangle
 
 sys.path.append(str(Path(__file__).parents[1] / "hostile"))
@@ -30,7 +30,7 @@ BOTH = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 def test_gmsh_round_trip(tmp_path, mesh, version, binary):
     path = write(tmp_path / "mesh.msh", mesh, version=version, binary=binary, lift=0.7 if mesh.dim == 2 else 0.0)
     assert path.read_bytes().split(b"\n")[1].startswith(b"2.2" if version == "gmsh22" else b"4.1")
-    for back in (from_gmsh(path), as_mesh(str(path))):
+    for back in (from_file(path), as_mesh(str(path))):
         # in 4.1 points may be in another order: compare as sets
         order, reference = np.lexsort(back.points.T), np.lexsort(mesh.points.T)
         np.testing.assert_allclose(back.points[order], mesh.points[reference], rtol=1e-14)
@@ -45,11 +45,11 @@ def test_gmsh_round_trip(tmp_path, mesh, version, binary):
 @BOTH
 def test_facets_without_a_group(tmp_path, mesh):
     path = write(tmp_path / "mesh.msh", mesh, groups=False)
-    with pytest.warns(UserWarning, match=rf"mesh.msh'?: {len(mesh.facets)} facets .* belong to no physical group"):
-        assert from_gmsh(path).boundaries == ("free",)
-    everything = from_gmsh(path, unnamed="rim")
+    with pytest.warns(UserWarning, match=rf"mesh.msh'?: {len(mesh.facets)} facets .* have no name in the file"):
+        assert from_file(path).boundaries == ("free",)
+    everything = from_file(path, unnamed="rim")
     assert everything.boundaries == ("rim",) and len(everything.facets) == len(mesh.facets)
-    some = from_gmsh(write(path, mesh, keep=slice(0, 2)), unnamed="free")
+    some = from_file(write(path, mesh, keep=slice(0, 2)), unnamed="free")
     assert set(some.boundaries) == {*mesh.boundaries[:2], "free"}
 
 
@@ -59,22 +59,39 @@ def test_groups_without_names_and_second_order(tmp_path):
     data = {"gmsh:physical": [np.array([7]), np.array([3, 3, 5])],
             "gmsh:geometrical": [np.array([1]), np.array([1, 2, 3])]}
     meshio.write(tmp_path / "m.msh", meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), cells, cell_data=data), "gmsh22")
-    mesh = from_gmsh(tmp_path / "m.msh")
+    mesh = from_file(tmp_path / "m.msh")
     assert mesh.boundaries == ("3", "5") and mesh.bodies == ("7",)
-    np.testing.assert_array_equal(mesh.points, points[:3])
+    np.testing.assert_array_equal(mesh.points, points)
+    assert len(mesh.elements) == 4 and [len(mesh.boundary_facets(name)) for name in ("3", "5")] == [4, 2]
+
+
+def test_old_versions_comments_and_groups_of_some(tmp_path):
+    path = tmp_path / "m.msh"
+    comment = "$Comments\nof $Nodes\n$EndComments\n"
+    old = mesh_files.MSH2.replace("2.2 0 8", "2.1 0 8").replace("$Nodes", "$Comment\n of others\n$EndComment\n$Nodes")
+    four = mesh_files.MSH4
+    for new, dated in (("4.1 0 8", "4 0 8"), ("1 4 1 4\n2 1 0 4", "1 4\n1 2 0 4"), ("2 6 1 6", "2 6"),
+                       ("2 1 2 2\n", "1 2 2 2\n"), ("1\n2\n3\n4\n0 0 0\n2 0 0\n2 1 0\n0 1 0",
+                                                   "1 0 0 0\n2 2 0 0\n3 2 1 0\n4 0 1 0")):
+        four = four.replace(new, dated)
+    partly = mesh_files.MSH4.replace(" 1 5 0\n", " 0 0\n")
+    for text, boundaries in ((comment + old, ("side", "top")), (four, ("rim",)), (partly, ("free",))):
+        path.write_text(text)
+        mesh = from_file(path, unnamed="free", unit=0.5)
+        assert mesh.bodies == ("steel",) and mesh.boundaries == boundaries and mesh.volumes.sum() == 0.5
 
 
 def test_what_gmsh_files_must_hold(tmp_path):
     path = tmp_path / "m.msh"
     with pytest.raises(FileNotFoundError, match="no file"):
-        from_gmsh(path)
+        from_file(path)
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1.0]])
-    for kind, nodes, message in (("quad", [[0, 1, 2, 3]], "elements of the type 3; only triangles and tetra"),
-                                 ("line", [[0, 1]], "neither triangles nor tetrahedra"),
+    for kind, nodes, message in (("triangle10", [[0, 1, 2, 3] * 2 + [0, 1]], "elements of the type 21 of Gmsh"),
+                                 ("line", [[0, 1]], "neither triangles and quadrilaterals nor"),
                                  ("triangle", [[0, 1, 2], [0, 2, 3]], "not in a plane z = constant")):
         meshio.write(path, meshio.Mesh(corners, [(kind, np.array(nodes))]), "gmsh22")
         with pytest.raises(ValueError, match=f"m.msh.*{message}"):
-            from_gmsh(path)
+            from_file(path)
 
 
 CUBES = Assembly(parts={"lower": Box(width=1, depth=1, height=1),
@@ -105,19 +122,19 @@ def write_cubes(path, shared, *, skip=(), names=("lower", "upper")):
 
 
 def test_bodies_are_glued_by_default(tmp_path):
-    mesh = from_gmsh(write_cubes(tmp_path / "m.msh", shared=True))
+    mesh = from_file(write_cubes(tmp_path / "m.msh", shared=True))
     assert mesh.n_nodes == 12 and mesh.bodies == ("lower", "upper")
     # the interface lies inside
     assert mesh.boundaries == ("base", "lid", "wall")
     np.testing.assert_allclose(np.bincount(mesh.element_body, mesh.volumes), 1)
-    mesh = from_gmsh(write_cubes(tmp_path / "m.msh", shared=False))
+    mesh = from_file(write_cubes(tmp_path / "m.msh", shared=False))
     assert mesh.n_nodes == 16 and mesh.boundaries == ("base", "interface", "lid", "wall")
     assert len(mesh.boundary_facets("interface")) == 4
 
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_split_bodies_share_no_nodes(tmp_path, shared):
-    mesh = check_mesh(from_gmsh(write_cubes(tmp_path / "m.msh", shared), split_bodies=True))
+    mesh = check_mesh(from_file(write_cubes(tmp_path / "m.msh", shared), split_bodies=True))
     assert mesh.n_nodes == 16 and mesh.bodies == ("lower", "upper") and mesh.source.nv == 16
     assert mesh.boundaries == ("lower.base", "lower.interface", "lower.wall",
                                "upper.interface", "upper.lid", "upper.wall")
@@ -137,10 +154,10 @@ def test_split_bodies_share_no_nodes(tmp_path, shared):
 
 def test_an_interface_without_a_name_and_dots_in_names(tmp_path):
     path = write_cubes(tmp_path / "m.msh", shared=True, skip=(12,), names=("a.1", "upper"))
-    assert from_gmsh(path).boundaries == ("base", "lid", "wall") and from_gmsh(path).bodies == ("a.1", "upper")
-    with pytest.warns(UserWarning, match=r"4 facets of the boundary, one of them at \(.*belong to no physical group"):
-        assert "upper.free" in from_gmsh(path, split_bodies=True).boundaries
-    mesh = from_gmsh(path, split_bodies=True, unnamed="joint")
+    assert from_file(path).boundaries == ("base", "lid", "wall") and from_file(path).bodies == ("a.1", "upper")
+    with pytest.warns(UserWarning, match=r"4 facets of the boundary, one of them at \(.*have no name in the file"):
+        assert "upper.free" in from_file(path, split_bodies=True).boundaries
+    mesh = from_file(path, split_bodies=True, unnamed="joint")
     # a dot would be read as body.boundary
     assert set(mesh.boundaries) == {"a_1.base", "a_1.wall", "a_1.joint", "upper.lid", "upper.wall", "upper.joint"}
     for name in ("a_1.joint", "upper.joint"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gmsh_file import write
 
-from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, from_gmsh, from_ngsolve, quality, structured, to_ngsolve
+from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, from_file, from_ngsolve, quality, structured, to_ngsolve
 from adaptmg.mesh.arrays import element_facets, facet_keys, facet_table, normalised
 from adaptmg.mesh.soundness import check_overlap
 from adaptmg.problem import Box, Rectangle
@@ -123,7 +123,7 @@ def test_a_folded_node_is_found_from_every_source(tmp_path, mesh):
     raw.ngmesh.Save(str(tmp_path / "bad.vol"))
     write(tmp_path / "bad.msh", bad)
     for read in (lambda: check_mesh(bad), lambda: as_mesh(bad), lambda: from_ngsolve(raw),
-                 lambda: as_mesh(tmp_path / "bad.vol"), lambda: from_gmsh(tmp_path / "bad.msh")):
+                 lambda: as_mesh(tmp_path / "bad.vol"), lambda: from_file(tmp_path / "bad.msh")):
         with pytest.raises(ValueError, match="both their elements on the same side: the mesh is folded over"):
             read()
 

@@ -138,6 +138,6 @@ def test_bad_files(tmp_path):
             (lambda: from_step(surface, 1e-3), ValueError, "holds no solids; surfaces must be closed"),
             (lambda: from_step(other, 1e-3), ValueError, r"is not a \.step or \.stp file"),
             (lambda: step_mesh(str(surface), 1e-3), TypeError, "domain must be a StepFile"),
-            (lambda: as_mesh(surface), ValueError, "from_step")):  # a geometry is no mesh
+            (lambda: as_mesh(surface), ValueError, "StepFile")):  # a geometry is no mesh
         with pytest.raises(error, match=message):
             call()

@@ -1,0 +1,212 @@
+"""Elements of any shape cut into triangles and tetrahedra that fit across faces; no node is added and none is dropped.
+
+Shapes are called and numbered as in meshio (VTK). An element of second order is cut at its middle nodes into linear
+cells. A cell of several sides is a pyramid over each face that its smallest node is not on; a quadrilateral face is cut
+through its own smallest node. Both neighbours of a face see the same numbers, so that their cuts agree, whatever their
+shapes. Where no neighbour looks, the shorter diagonal is taken: of quadrilaterals in the plane, and of the octahedron
+inside a tetrahedron of second order.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+Corners = tuple[int, ...]
+#: local node numbers of the facets of a shape, numbered as Abaqus numbers them from 1
+FACETS: dict[str, tuple[Corners, ...]] = {
+    "triangle": ((0, 1), (1, 2), (2, 0)),
+    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
+    "tetra": ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
+    "pyramid": ((0, 1, 2, 3), (0, 4, 1), (1, 4, 2), (2, 4, 3), (3, 4, 0)),
+    "wedge": ((0, 1, 2), (3, 5, 4), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)),
+    "hexahedron": ((0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)),
+}
+#: ends of the edges of a shape, in the order of the middle nodes of the second order
+_EDGES: dict[str, tuple[tuple[int, int], ...]] = {
+    "line": ((0, 1),),
+    "triangle": ((0, 1), (1, 2), (2, 0)),
+    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
+    "tetra": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+    "pyramid": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
+    "wedge": ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)),
+    "hexahedron": ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)),
+}
+#: corners of which the nodes behind those of the edges are the centres
+_CENTRES: dict[str, tuple[Corners, ...]] = {
+    "quad9": ((0, 1, 2, 3),),
+    "pyramid14": ((0, 1, 2, 3),),
+    "wedge18": ((0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+    "hexahedron27": ((0, 3, 4, 7), (1, 2, 5, 6), (0, 1, 4, 5), (2, 3, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7),
+                     tuple(range(8))),
+}
+_CORNERS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
+#: dimension of each shape
+DIMENSIONS = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wedge": 3, "hexahedron": 3}
+_WORDS = {"triangle": "triangles", "quad": "quadrilaterals", "tetra": "tetrahedra", "pyramid": "pyramids",
+          "wedge": "wedges", "hexahedron": "bricks"}
+#: shape and number of nodes of every kind of cell
+KINDS = {shape: (shape, n) for shape, n in _CORNERS.items()}
+KINDS |= {f"{shape}{n}": (shape, n) for shape, n in (
+    ("line", 3), ("triangle", 6), ("quad", 8), ("quad", 9), ("tetra", 10), ("pyramid", 13), ("pyramid", 14),
+    ("wedge", 15), ("wedge", 18), ("hexahedron", 20), ("hexahedron", 27))}
+
+
+def dimension(kind: str) -> int:
+    """Dimension of a kind of cell, -1 of one that is not known here."""
+    return DIMENSIONS[KINDS[kind][0]] if kind in KINDS else -1
+
+
+def middles(kind: str) -> tuple[Corners, ...]:
+    """The corners of which each node of second order is the middle or centre."""
+    shape, n = KINDS[kind]
+    return () if n == _CORNERS[shape] else _EDGES[shape] + _CENTRES.get(kind, ())
+
+
+def kind_of(shape: str, n: int) -> str | None:
+    """The kind with a shape and a number of nodes."""
+    return next((kind for kind, known in KINDS.items() if known == (shape, n)), None)
+
+
+@cache
+def facets_of(kind: str) -> tuple[tuple[str, Corners], ...]:
+    """Kind and local nodes of each facet of a cell."""
+    shape, n = KINDS[kind]
+    result = []
+    for corners in FACETS[shape]:
+        k = len(corners)
+        ring = list(zip(corners, corners[1:] + corners[:1], strict=True))[:1 if k == 2 else k]
+        between = [_middle(kind, *edge) for edge in ring] if n > _CORNERS[shape] else []
+        centre = [_centre(kind, corners)] if k == 4 else []
+        local = (*corners, *between, *(c for c in centre if c is not None))
+        result.append((kind_of({2: "line", 3: "triangle", 4: "quad"}[k], len(local)), local))
+    return tuple(result)
+
+
+def _centre(kind: str, corners: Corners) -> int | None:
+    """The node in the middle of some corners."""
+    places = {frozenset(ends): _CORNERS[KINDS[kind][0]] + i for i, ends in enumerate(middles(kind))}
+    return places.get(frozenset(corners))
+
+
+def _middle(kind: str, a: int, b: int) -> int:
+    """The node halfway between two corners, of an edge, of a diagonal of a face or of a brick."""
+    candidates = [_CORNERS[KINDS[kind][0]] + i for i, ends in enumerate(middles(kind)) if a in ends and b in ends]
+    return a if a == b else candidates[0]
+
+
+Parts = list[tuple[tuple[Corners, ...], Corners]]
+
+
+@cache
+def _parts(kind: str) -> Parts:
+    """The linear cells that a kind is cut into: the facets of each by its own numbers, and its nodes in the kind."""
+    shape, n = KINDS[kind]
+    corners = range(_CORNERS[shape])
+    facets = FACETS.get(shape, ())
+    if n == _CORNERS[shape]:
+        return [(facets, tuple(corners))]
+    if shape == "line" or kind in _CENTRES:
+        # the same shape at each corner, half as large
+        result = [(facets, tuple(_middle(kind, a, b) for b in corners)) for a in corners[:4 if n == 14 else None]]
+        if kind == "wedge18":
+            result += [(facets, nodes) for nodes in ((6, 7, 8, 15, 16, 17), (15, 16, 17, 9, 10, 11))]
+        if kind == "pyramid14":
+            result += [(facets, (9, 10, 11, 12, apex)) for apex in (4, 13)]
+            result += [(FACETS["tetra"], (5 + i, 13, 9 + i, 9 + (i + 1) % 4)) for i in range(4)]
+        return result
+    # a cell at each corner, and what is left between the middle nodes
+    result, faces = [], []
+    for a in corners:
+        ring = _around(kind, a)
+        if len(ring) > 2:
+            faces.append(ring)
+        cell = {2: "triangle", 3: "tetra", 4: "pyramid"}[len(ring)]
+        result.append((FACETS[cell], (a, *ring) if len(ring) < 4 else (*ring, a)))
+    faces += [local[len(local) // 2:] for _, local in facets_of(kind)] if DIMENSIONS[shape] == 3 else []
+    inner = tuple(range(_CORNERS[shape], n))
+    number = {node: i for i, node in enumerate(inner)}
+    core = tuple(tuple(number[node] for node in face) for face in faces)
+    return [*result, (core or FACETS[{3: "triangle", 4: "quad"}[len(inner)]], inner)]
+
+
+def _around(kind: str, corner: int) -> Corners:
+    """The middle nodes of the edges at a corner, neighbours on a face one after the other."""
+    edges = {_middle(kind, *edge) for edge in _EDGES[KINDS[kind][0]] if corner in edge}
+    if len(edges) < 4:
+        return tuple(sorted(edges))
+    faces = [set(local) & edges for _, local in facets_of(kind)]
+    ring = [min(edges)]
+    for _ in range(len(edges) - 1):
+        ring.append(next(m for m in sorted(edges - set(ring)) if {m, ring[-1]} in faces))
+    return tuple(ring)
+
+
+def simplices(kind: str, nodes: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles, tetrahedra or lines of some cells of a kind, and the cell that each comes from; those that collapsed
+    cells leave flat are dropped. With ``points``, of elements; without, of boundary facets, cut by numbers alone."""
+    cells, owners = [], []
+    for facets, local in _parts(kind):
+        part = nodes[:, local]
+        if len(local) == 4 and len(facets) == 4 and len(facets[0]) == 2:
+            turned = _first(part, part.argmin(axis=1) if points is None else _shorter(part, points, ((0, 2), (1, 3))))
+            found, rows = [turned[:, :3], turned[:, [0, 2, 3]]], [np.arange(len(part))] * 2
+        elif len(local) <= 4:
+            found, rows = [part], [np.arange(len(part))]
+        else:
+            found, rows = _cones(facets, part, _apex(kind, part, points))
+        cells += found
+        owners += rows
+    result, owner = np.concatenate(cells), np.concatenate(owners)
+    order = np.sort(result, axis=1)
+    whole = (order[:, 1:] != order[:, :-1]).all(axis=1)
+    return result[whole], owner[whole]
+
+
+def _apex(kind: str, part: np.ndarray, points: np.ndarray | None) -> np.ndarray:
+    """The node of each cell that its pyramids meet in."""
+    if KINDS[kind] == ("tetra", 10) and points is not None:
+        return _shorter(part, points, ((0, 5), (1, 3), (2, 4)))
+    return part.argmin(axis=1)
+
+
+def _shorter(part: np.ndarray, points: np.ndarray, pairs: tuple[tuple[int, int], ...]) -> np.ndarray:
+    """The first end of the shortest of some diagonals of each cell."""
+    lengths = [np.square(points[part[:, a]] - points[part[:, b]]).sum(axis=1) for a, b in pairs]
+    return np.array([a for a, _ in pairs])[np.argmin(lengths, axis=0)]
+
+
+def _first(ring: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Rings of nodes turned so that they begin at a place each."""
+    return np.take_along_axis(ring, (start[:, None] + np.arange(ring.shape[1])) % ring.shape[1], axis=1)
+
+
+def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> tuple[list, list]:
+    """Tetrahedra over the facets that do not hold the apex."""
+    cells, rows = [], []
+    for top in np.unique(apex):
+        mine = np.flatnonzero(apex == top)
+        for facet in facets:
+            if top in facet:
+                continue
+            base = part[mine][:, facet]
+            triangles = [base]
+            if len(facet) == 4:
+                turned = _first(base, base.argmin(axis=1))
+                triangles = [turned[:, :3], turned[:, [0, 2, 3]]]
+            for triangle in triangles:
+                cells.append(np.column_stack([part[mine, top], triangle]))
+                rows.append(mine)
+    return cells, rows
+
+
+def cut_note(kind: str, counts: np.ndarray) -> str:
+    """What became of the cells of a kind: '12 8-node bricks: each split into 6 tetrahedra'; "" of simplices."""
+    shape, n = KINDS[kind]
+    if kind in ("triangle", "tetra"):
+        return ""
+    least, most = int(counts.min()), int(counts.max())
+    into = "triangles" if DIMENSIONS[shape] == 2 else "tetrahedra"
+    number = least if least == most else f"{least} to {most}"
+    return f"{len(counts)} {n}-node {_WORDS[shape]}: each split into {number} {into}"

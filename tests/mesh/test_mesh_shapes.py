@@ -1,0 +1,204 @@
+"""Elements of every shape become simplices that fit, whatever their numbers; decks are read with their names."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+from adaptmg.export import mesh as write_mesh
+from adaptmg.mesh import from_file, merged, structured
+from adaptmg.mesh.contents import Contents, mesh_of
+from adaptmg.mesh.shapes import KINDS, dimension, facets_of, middles, simplices
+
+CORNERS = {"triangle": [(0, 0), (1, 0), (0, 1)], "quad": [(0, 0), (1, 0), (1, 1), (0, 1)],
+           "tetra": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)],
+           "pyramid": [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 1)],
+           "wedge": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)],
+           "hexahedron": [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]}
+SIZES = {"triangle": 0.5, "quad": 1, "tetra": 1 / 6, "pyramid": 1 / 3, "wedge": 0.5, "hexahedron": 1}
+SOLID = [kind for kind in KINDS if dimension(kind) > 1]
+
+
+def element(kind):
+    """The points of one straight element."""
+    corners = np.array(CORNERS[KINDS[kind][0]], dtype=float)
+    return np.concatenate([corners, *(corners[list(ends)].mean(axis=0)[None] for ends in middles(kind))])
+
+
+@pytest.mark.parametrize("kind", SOLID)
+def test_cuts_fill_an_element_and_drop_no_node(kind):
+    rng, dim, (shape, n) = np.random.default_rng(1), dimension(kind), KINDS[kind]
+    placed = element(kind) @ (np.eye(dim) + 0.3 * rng.random((dim, dim)))
+    size = SIZES[shape] * np.linalg.det(np.linalg.lstsq(element(kind) - element(kind)[0], placed - placed[0])[0])
+    for points in (placed, None):
+        numbers = rng.permutation(n)
+        x = np.empty_like(placed)
+        x[numbers] = placed
+        cells, owner = simplices(kind, numbers[None], None if points is None else x)
+        sizes = np.abs(np.linalg.det(x[cells[:, 1:]] - x[cells[:, :1]])) / (2, 6)[dim - 2]
+        assert sizes.sum() == pytest.approx(abs(size), rel=1e-12) and sizes.min() > 1e-4 * abs(size)
+        assert set(cells.ravel()) == set(range(n)) and not owner.any()
+
+
+def bricks(kinds):
+    """A box of 2 x 2 x 2 cells, each a brick or two wedges or six pyramids, with nodes numbered at random."""
+    rng, points, cells = np.random.default_rng(2), {}, []
+
+    def node(x):
+        return points.setdefault(tuple(np.round(x, 9)), len(points))
+
+    for k, corner in enumerate(itertools.product((0, 1), repeat=3)):
+        kind, cube = kinds[k % len(kinds)], np.array(CORNERS["hexahedron"]) + corner
+        shape, n = KINDS[kind]
+        if shape == "hexahedron":
+            parts = [cube]
+        elif shape == "wedge":
+            parts = [cube[[0, 1, 3, 4, 5, 7]], cube[[1, 2, 3, 5, 6, 7]]]
+        else:
+            parts = [np.vstack([cube[list(f)], cube.mean(axis=0)]) for _, f in facets_of("hexahedron")]
+        for part in parts:
+            nodes = [*part, *(part[list(ends)].mean(axis=0) for ends in middles(kind))]
+            assert len(nodes) == n
+            cells.append((kind, np.array([[node(x) for x in nodes]])))
+    x = np.array(list(points))
+    numbers = rng.permutation(len(x))
+    place = np.empty_like(x)
+    place[numbers] = x
+    return place, [(kind, numbers[nodes]) for kind, nodes in cells]
+
+
+@pytest.mark.parametrize("kinds", [("hexahedron", "wedge", "pyramid"), ("hexahedron20", "wedge15", "pyramid13"),
+                                   ("hexahedron27", "wedge18", "pyramid14")])
+def test_cuts_fit_across_faces(kinds):
+    for some in (kinds, *((kind,) for kind in kinds)):
+        points, cells = bricks(some)
+        low = [(kind, nodes[:, local]) for whole, nodes in cells for kind, local in facets_of(whole)
+               if (points[nodes[0, local], 2] == 0).all()]
+        contents = Contents(points, [(kind, nodes, np.zeros(1, dtype=int)) for kind, nodes in cells], ["b"],
+                            {"low": low}, {"top": np.flatnonzero(points[:, 2] == 2)})
+        # the mesh is checked: closed, no fold, nothing degenerate
+        mesh, rest = mesh_of(contents, unit=1e-3, unnamed="free", split_bodies=False, boundaries=None, body=None)
+        assert mesh.volumes.sum() == pytest.approx(8e-9) and mesh.n_nodes == len(points) and len(rest)
+        for name, z in (("low", 0), ("top", 2e-3)):
+            surface = mesh.surface(name)
+            assert surface.measures.sum() == pytest.approx(4e-6) and (mesh.points[surface.nodes, 2] == z).all()
+        assert any("each split into" in note for note in mesh.notes)
+
+
+def test_collapsed_bricks_are_wedges():
+    points = np.array(CORNERS["wedge"], dtype=float)
+    cells, _ = simplices("hexahedron", np.array([[0, 1, 2, 2, 3, 4, 5, 5]]), points)
+    sizes = np.abs(np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]])) / 6
+    assert sizes.sum() == pytest.approx(0.5) and sizes.min() > 0
+
+
+DECK = """** a comment
+*Heading
+ two blocks in mm
+*Node, nset=Nall
+1, 0., 0.
+2, 10, 0
+3, 10., 5.D0
+4, , 5
+11, 0, 5
+12, 10, 5
+13, 10, 12
+14, 0, 12,
+*Element, type=CPS4R, elset=Low
+7, 1, 2,
+3, 4
+*ELEMENT, TYPE=CPS4, ELSET="High part"
+8, 11, 12, 13, 14
+*Elset, elset=Both
+Low, High part
+*Nset, nset=held, generate
+1, 2
+*Nset, nset=lid
+13, 14
+*Surface, name=Seat
+Low, S3
+*Surface, type=ELEMENT, name=foot
+8, S1
+*Material, name=Steel
+*Elastic
+210000., .3
+*Solid section, elset=Both, material=Steel
+*Surface interaction, name=I1
+*Friction
+0.25, 1e5
+*Contact pair, interaction=I1
+foot, Seat
+*Boundary
+held, 1, 2
+"""
+
+
+def test_a_deck_is_read_with_its_names(tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text(DECK)
+    with pytest.warns(UserWarning, match='have no name in the file and are called "free"'):
+        mesh = from_file(path, unit=1e-3)
+    # a section is cut where nothing joins it, and each piece is called after the smallest set around it
+    assert mesh.bodies == ("Low", "High part") and np.bincount(mesh.element_body, mesh.volumes) == pytest.approx(
+        [50e-6, 70e-6])
+    assert set(mesh.boundaries) == {"free", "Seat", "foot", "held", "lid"}
+    for name, y in (("Seat", 5e-3), ("foot", 5e-3), ("held", 0), ("lid", 12e-3)):
+        assert (mesh.points[mesh.boundary_nodes(name), 1] == y).all() and len(mesh.boundary_facets(name)) == 1
+    for note in ("2 4-node quadrilaterals: each split into 2 triangles", "elements of the types CPS4, CPS4R",
+                 "material 'Steel': elastic constants 210000., .3 in the units of the file", "contact pair: foot, Seat",
+                 "friction 0.25 of 'I1'", "not read: *Boundary"):
+        assert note in mesh.notes
+    assert from_file(path, boundaries=["lid"], unnamed="rest", body="all").bodies == ("all", "all_2")
+
+
+def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
+    path = tmp_path / "part.inp"
+    path.write_text(DECK + "*Nset, nset=sides\n11, 12, 13, 14, 4, 1\n*Nset, nset=whole\nNall\n")
+    mesh = from_file(path, unnamed="free")
+    assert len(mesh.boundary_facets("lid")) == 1 and len(mesh.boundary_facets("sides")) == 3
+    assert "'sides': 2 of 5 facets belong to another name before it; boundaries= sets the order" in mesh.notes
+    assert any("set of all nodes" in note and "whole" in note for note in mesh.notes)
+    mesh = from_file(path, unnamed="free", boundaries=["sides", "Seat"])
+    assert set(mesh.boundaries) == {"sides", "Seat", "free"} and len(mesh.boundary_facets("sides")) == 5
+    with pytest.raises(ValueError, match="boundaries: it holds no 'side'; it holds"):
+        from_file(path, boundaries=["side"])
+
+
+def test_parts_are_placed_as_often_as_they_have_instances(tmp_path):
+    path = tmp_path / "part.inp"
+    head, _, tail = DECK.partition("*Node")
+    part = tail.partition("*Surface, name=Seat")[0]
+    path.write_text(f"{head}*Part, name=P\n*Node{part}*End part\n*Assembly, name=A\n*Instance, name=I-1, part=P\n"
+                    "*End Instance\n*Instance, name=I-2, part=P\n20, 0, 0\n20, 0, 0, 20, 0, 1, 90\n*End instance\n"
+                    "*Nset, nset=tip, instance=I-2\n13, 14\n*End Assembly\n")
+    mesh = from_file(path, unnamed="free", boundaries=["tip", "lid"])
+    assert mesh.bodies == ("Low", "High part", "I-2_Low", "I-2_High part") and mesh.volumes.sum() == 240
+    np.testing.assert_allclose(mesh.points[mesh.boundary_nodes("tip")], [(8, 10), (8, 0)], atol=1e-12)
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("*Node, nset", "*Node, system=C, nset", r"line 4: \*NODE: nodes and elements that the solver generates or moves"),
+    ("*Element, type=CPS4", "*Element, type=C3D4", "element of type C3D4R? has|tetrahedra|elements name|degenerate"),
+    ("7, 1, 2,", "7, 1, 99,", "nodes that it does not hold, such as 99"), ("Low, S3", "Low, S5", "face S5 of 4-node"),
+    ("Low, S3", "Lower, S3", r"line 24: \*SURFACE: there is no set 'Lower'"),
+    ("2, 10, 0", "2, ten, 0", r"line 4: \*NODE: could not convert"), ("*Node, nset=Nall", "",
+      "nodes that it does not hold, such as 1"),
+    ("8, 11, 12, 13, 14", "8, 11, 12, 13", "has a number and 4 nodes")])
+def test_decks_are_refused_with_the_line(tmp_path, old, new, message):
+    (tmp_path / "part.inp").write_text(DECK.replace(old, new, 1))
+    with pytest.raises(ValueError, match=f"part.inp.*({message})"):
+        from_file(tmp_path / "part.inp", unnamed="free")
+
+
+@pytest.mark.parametrize("suffix", [".msh", ".inp"])
+@pytest.mark.parametrize("body", [am.Rectangle(width=2e-3, height=1e-3), am.Box(width=1e-3, depth=2e-3, height=3e-3)])
+def test_names_come_back_from_a_file(tmp_path, body, suffix):
+    mesh = merged({"lower": structured(body, 2), "upper": structured(body, 3)})
+    write_mesh(mesh, tmp_path / f"m{suffix}", unit=1e-3)
+    back = from_file(tmp_path / f"m{suffix}", unit=1e-3)
+    assert back.boundaries == mesh.boundaries and back.bodies == mesh.bodies
+    np.testing.assert_allclose(back.points, mesh.points, rtol=1e-14)
+    for name in mesh.boundaries:
+        np.testing.assert_array_equal(back.boundary_nodes(name), mesh.boundary_nodes(name))
+    np.testing.assert_array_equal(np.bincount(back.element_body), np.bincount(mesh.element_body))
