@@ -85,7 +85,7 @@ def test_sizes_have_defaults_that_follow_bodies_and_contact():
     assert len(plain.finest.discrete.contact) < len(bar.finest.discrete.contact) / 2
 
 
-def test_errors_of_a_graded_family_fall_with_the_square_of_its_sizes():
+def test_errors_of_graded_families_fall_with_squares_of_sizes():
     problem, sizes = am.cases.hertz_cylinder(), [12.5e-3 / 2**k for k in range(4)]
     grids = am.Hierarchy.graded(problem, sizes, contact_ratio=32)
     works = [float(level.discrete.load @ am.solve(grids.truncated(finest=k)).displacement.ravel())

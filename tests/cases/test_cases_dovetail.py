@@ -71,7 +71,7 @@ def test_contact_carries_the_pull_and_supports_the_clamp():
         assert abs(slave.moment + master.moment) <= 1e-12 * PULL
 
 
-def test_multigrid_agrees_with_the_active_set_method_within_16_cycles():
+def test_multigrid_agrees_with_the_active_set_in_16_cycles():
     discrete, result = grids().finest.discrete, solved()
     other = am.solve(discrete, am.ActiveSet(rtol=1e-12))
     assert distance(discrete, result.displacement, other.displacement) < 1e-8

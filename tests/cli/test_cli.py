@@ -110,7 +110,7 @@ def test_a_run_that_does_not_converge_ends_with_code_1(command):
     assert err.splitlines()[-1].startswith("adaptmg: not converged (LIMIT)")
 
 
-def test_the_log_goes_to_standard_error_and_is_put_back_and_a_terminal_gets_a_bar(capsys, monkeypatch):
+def test_the_log_goes_to_standard_error_with_a_bar_on_terminals(capsys, monkeypatch):
     logger = logging.getLogger("adaptmg")
     before = (logger.level, list(logger.handlers))
     with watched(1e-8) as callback:

@@ -30,7 +30,7 @@ def stored(count: int = 300) -> None:
     Store("s.sqlite").put_all("first", records)
 
 
-def test_rows_are_limited_and_parameters_without_a_choice_left_out(command):
+def test_rows_are_limited_and_equal_parameters_left_out(command):
     stored()
     code, out, _ = command("s.sqlite", "--limit", "7")
     assert code == 0 and "... 293 more" in out and len(out.splitlines()) == 10
@@ -148,7 +148,7 @@ def test_a_page_and_its_table_stand_beside_the_store(report):
     assert Path("other.html").read_text(encoding="utf-8").count("<img") < page.count("<img")
 
 
-def test_a_page_says_what_all_runs_share_units_and_when_they_were_made(report):
+def test_a_page_says_what_all_runs_share_and_when_they_ran(report):
     store = Store("s.sqlite")
     same = {"case.case": "greco_bar", "h.sizes": (0.01, 5e-3)}
     store.put_all("study", [Record(parameters=same | {"case.friction": k / 2}, status="done", machine="node7",

@@ -77,7 +77,7 @@ def test_options_reach_the_study(command, monkeypatch):
                      "limit_s": 9.0, "memory_limit": 1e9} and Path("two.sqlite").exists()
 
 
-def test_a_run_that_fails_ends_with_code_1_and_is_tried_again_when_asked(command):
+def test_a_run_that_fails_ends_with_code_1_and_can_be_repeated(command):
     code, out, err = command("study", written(SCRIPT.replace("[4, 8]", "[4, 3]")))
     assert code == 1 and "2 failed" in out
     assert err.splitlines()[-1] == "adaptmg: 2 of 4 runs failed: --retry-failed runs them again"

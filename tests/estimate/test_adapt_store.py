@@ -168,7 +168,7 @@ def rewritten(file: Path, **changes: object) -> None:
     (lambda file: rewritten(file, levels=[]), "is not what was written"),
     (lambda file: shutil.copy(file.with_name("step_0000.npz"), file), "another computation|holds step 0"),
     (lambda file: am.Result.load(file).save(file), "another computation")])
-def test_a_damaged_or_foreign_step_is_named_and_can_be_made_again(copied, whole, change, message):
+def test_a_damaged_or_foreign_step_is_named_and_made_again(copied, whole, change, message):
     change(copied / "step_0001.npz")
     with pytest.raises(ValueError, match=rf"step_0001\.npz.*({message}).*remove it"):
         list(loop(copied))

@@ -101,7 +101,7 @@ def test_rectangles_and_boxes_begin_with_a_regular_mesh():
     assert first(am.cases.dovetail(), 5e-3) is None
 
 
-def test_an_element_that_is_always_marked_becomes_no_smaller_than_coordinates_resolve():
+def test_a_marked_element_stays_above_what_coordinates_resolve():
     mesh = structured(PROBLEM.domain, 2)
     for _ in range(60):
         before, marked = mesh, np.arange(len(mesh.elements)) == 0

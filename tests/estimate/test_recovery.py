@@ -106,7 +106,7 @@ def kirsch(points):
 
 
 @pytest.mark.parametrize("size", [0.4, 0.2])
-def test_stress_on_lines_of_symmetry_is_nearly_as_accurate_as_inside(size):
+def test_stress_on_symmetry_is_nearly_as_accurate_as_inside(size):
     plate = am.Outline(vertices=[(1, 0), (4, 0), (4, 4), (0, 4), (0, 1)],
                        boundaries=("bottom", "right", "top", "left", "hole"), arcs={4: (0.0, 0.0)})
     mesh, material = am.mesh.graded(plate, size, ["hole"], 4.0), am.PlaneStrain(young=1.0, poisson=0.3)
@@ -123,7 +123,7 @@ def test_stress_on_lines_of_symmetry_is_nearly_as_accurate_as_inside(size):
     assert np.sqrt(np.mean(errors[near & outside]**2)) < 3 * np.sqrt(np.mean(errors[near & ~outside]**2))
 
 
-def test_stress_on_the_faces_of_solids_is_as_accurate_as_fits_allow():
+def test_stress_on_faces_of_solids_is_as_accurate_as_fits_allow():
     mesh, rng = random_box(400, 3, 0), np.random.default_rng(0)
     curved = rng.standard_normal((3, 3, 6))
     centroids = mesh.points[mesh.elements].mean(axis=1)

@@ -57,7 +57,7 @@ def test_plane_problems(case):
     assert len(old & new) < 0.3 * len(old)
 
 
-def test_it_coarsens_where_the_error_is_small_but_contact_keeps_nodes():
+def test_it_coarsens_small_errors_but_contact_keeps_nodes():
     problem = am.cases.upset_block()
     mesh = graded(problem.domain, 1e-3)
     far = mesh.points[mesh.elements].mean(axis=1)[:, 0] > 20e-3
@@ -167,7 +167,7 @@ def test_squares_after_refinement_are_equal(dim, rate):
     assert NodeCount(mesh)(sizes) == pytest.approx(2.0 * mesh.n_nodes, rel=0.01)
 
 
-def test_unit_of_the_squares_does_not_matter_zeros_are_fine_and_the_count_is_exact_for_the_mesh_itself():
+def test_units_of_squares_do_not_matter_and_the_count_is_exact():
     mesh = log_graded(150, 3)
     squares = np.random.default_rng(0).random(len(mesh.elements))
     np.testing.assert_allclose(equilibrated_sizes(mesh, 1e-25 * squares, 400), equilibrated_sizes(mesh, squares, 400),

@@ -32,7 +32,7 @@ def made(mesh: MeshArrays) -> Posed:
 
 
 @pytest.mark.parametrize("mesh", [square(6), cube(3)], ids=["2D", "3D"])
-def test_what_a_solver_leaves_at_the_nodes_is_not_an_error_of_the_mesh(mesh):
+def test_what_a_solver_leaves_is_not_an_error_of_the_mesh(mesh):
     this = made(mesh)
     c = this.result.contact
     opens, slides = c.state == am.OPEN, (c.state == am.SLIP)[:, None]
@@ -46,7 +46,7 @@ def test_what_a_solver_leaves_at_the_nodes_is_not_an_error_of_the_mesh(mesh):
 
 
 @pytest.mark.parametrize("options", [None, {"slope": 20.0, "side_pressure": 3e7}, {"dim": 3}], ids=str)
-def test_where_the_solution_is_exact_nothing_is_estimated_and_both_sides_bear_the_same_traction(options):
+def test_exact_solutions_have_no_error_and_equal_tractions(options):
     if options is None:
         problem = am.cases.greco_bar(law=am.Frictionless())
         grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
@@ -71,7 +71,7 @@ def solved():
     return grids, am.solve(grids, EXACT)
 
 
-def test_terms_sum_to_the_total_and_the_norm_is_that_of_the_displacement(solved, tmp_path):
+def test_terms_sum_to_the_total_and_the_norm_is_of_displacements(solved, tmp_path):
     grids, result = solved
     result.save(tmp_path / "r.npz")
     for indicator in (am.Residual(), am.Recovery()):

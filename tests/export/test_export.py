@@ -124,7 +124,7 @@ def test_a_series_is_written_whole_or_not_at_all(tmp_path):
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-def test_a_series_whose_steps_cannot_all_be_put_in_place_has_no_list(tmp_path, monkeypatch):
+def test_a_series_that_cannot_be_put_in_place_has_no_list(tmp_path, monkeypatch):
     vtk_series(_steps(2), tmp_path / "run.pvd")
     replace = os.replace
 

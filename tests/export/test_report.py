@@ -135,7 +135,7 @@ def test_numbers_are_marked_and_long_tables_cut(tmp_path):
     assert page.all("div", "tall")
 
 
-def test_a_long_text_shows_its_first_sentences_and_folds_the_rest(tmp_path):
+def test_a_long_text_shows_whole_sentences_and_folds_the_rest(tmp_path):
     page, _ = made(tmp_path, lambda r: r.section("s", "To 1e-6, not 2.5e-12."))
     assert page.text("span") == "1e-6 2.5e-12" and "To" in page.text("p")  # numbers are not broken
     text = " ".join(f"Sentence number {k} is here." for k in range(100))
@@ -184,7 +184,7 @@ def test_bad_arguments_are_refused(tmp_path):
     ([1234.56, 7.0], "", ["1235", "7.000"]), ([0.1, np.inf, 1 / 3], "", ["0.1000", "inf", "0.3333"]),
     ([1.26, 2.0], ".1f", ["1.3", "2.0"]), ([0.123456, 2.0], ".2g", ["0.12", "2.0"]),
     ([3.2e-15, 0.0], ".1e", ["3.2e-15", "0"]), (pd.array([1.26, None], "Float64"), ".2g", ["1.3", "-"])])
-def test_measured_numbers_keep_their_zeros_chosen_ones_none_and_formats_hold(values, spec, shown):
+def test_measured_numbers_keep_their_zeros_and_chosen_ones_none(values, spec, shown):
     (column,) = columns_of(pd.DataFrame({"x": values}), None, {"x": spec} if spec else None)
     assert column.texts == shown
 

@@ -70,7 +70,7 @@ def test_any_parameter_is_drawn(tmp_path, frame):
     assert page.all("img")
 
 
-def test_the_axis_is_the_number_with_most_values_and_lines_the_other():
+def test_the_axis_is_the_number_with_most_values():
     frame = table().assign(number=range(12))
     assert axes_of_study(frame, ["friction", "sweeps"]) == Axis("sweeps", "friction")
     assert axes_of_study(frame, ["method", "seed"]) == Axis("seed", "")

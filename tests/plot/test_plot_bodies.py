@@ -49,7 +49,7 @@ def test_polylines_use_every_edge_once_and_close_rings():
     assert sorted(used) == sorted(map(tuple, edges.tolist()))
 
 
-def test_deformation_draws_each_body_in_its_own_color_and_names_it():
+def test_deformation_draws_each_body_in_a_color_and_names_it():
     figure = plot.deformation(PLANE, amplify=20)
     (ax,) = figure.axes
     moved = 1e3 * (PLANE.mesh.points + 20 * PLANE.displacement)
@@ -90,7 +90,7 @@ def test_deformation_refuses_what_it_cannot_draw(result, options, message):
         plot.deformation(result, **options)
 
 
-def test_large_meshes_are_filled_without_lines_and_holes_left_out():
+def test_large_meshes_are_filled_without_lines_or_holes():
     result = two_bodies(n=6)
     inner = np.abs(result.mesh.points[result.mesh.elements].mean(axis=1) - [0.02, 0.02]).max(axis=1) < 0.01
     mesh = dataclasses.replace(result.mesh, elements=result.mesh.elements[~inner],
@@ -217,7 +217,7 @@ def around_a_cylinder(radius: float) -> Result:
     return dataclasses.replace(SOLID, mesh=None, contact=contact)
 
 
-def test_surfaces_are_drawn_flat_and_a_hole_is_unrolled_about_its_axis():
+def test_surfaces_are_drawn_flat_and_a_hole_is_unrolled():
     result = around_a_cylinder(0.015)
     flat = flattened(result, "upper.bottom")
     offset = result.contact.x - [0.1, 0.2, 0]
@@ -232,7 +232,7 @@ def test_surfaces_are_drawn_flat_and_a_hole_is_unrolled_about_its_axis():
     assert all(text in shown for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "gap [µm]"))
 
 
-def test_load_history_draws_the_quantities_and_the_pressure_of_each_step():
+def test_load_history_draws_quantities_and_pressures():
     steps = steps_of(PLANE)
     figure = plot.load_history(steps, FACTORS, QUANTITIES)
     for ax, (label, function) in zip(figure.axes[:2], QUANTITIES.items(), strict=True):

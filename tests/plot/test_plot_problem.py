@@ -71,7 +71,7 @@ def test_loads_that_are_zero_are_not_drawn():
     assert "free: 'top'" in words(figure)
 
 
-def test_arrows_are_proportional_to_the_tractions_and_end_on_the_boundary():
+def test_arrows_are_proportional_to_tractions_and_end_at_bodies():
     quivers = am.plot.problem(am.cases.greco_bar()).axes[0].findobj(Quiver)
     lengths = [np.hypot(q.U, q.V) for q in quivers]
     assert all(np.ptp(x) < 1e-9 for x in lengths)
@@ -106,7 +106,7 @@ def test_solids_are_drawn_on_a_mesh():
         am.plot.problem(posed, mesh=cube(1))
 
 
-def test_the_picture_of_a_solid_shows_its_contact_and_where_loads_act():
+def test_the_picture_of_a_solid_shows_contact_and_loads():
     posed = am.cases.greco_block()
     (ax,) = am.plot.problem(posed).axes
     elevation, azimuth = np.radians([ax.elev, ax.azim])

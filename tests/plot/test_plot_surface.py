@@ -50,7 +50,7 @@ def test_the_kernels_do_the_same_without_the_jit(width):
     assert image[3, [0, 4], 3].tolist() == [1, 1] and not image[3, [2, 3, 6], 3].any()
 
 
-def test_a_surface_shows_the_front_of_a_body_from_wherever_it_is_seen():
+def test_a_surface_shows_the_front_of_a_body_from_any_side():
     mesh = cube(2, 1.0)
     outward = np.cross(*(mesh.points[mesh.facets[:, k]] - mesh.points[mesh.facets[:, 0]] for k in (1, 2)))
     axis = np.argmax(np.abs(outward), axis=1)

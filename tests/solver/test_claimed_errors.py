@@ -184,7 +184,7 @@ def test_contact_nodes_that_open_one_after_the_other():
     assert distance(grids.finest.discrete, result.displacement, exact.displacement) <= 3 * rtol
 
 
-def test_a_tolerance_below_rounding_is_refused_and_the_least_one_named():
+def test_a_tolerance_below_rounding_is_refused_with_the_least():
     # a beam of 200 : 1: rounding of its residual is 1e-7 of the load
     cells = np.zeros((200, 3), dtype=bool)
     cells[:, 1] = cells[0, 2] = cells[50:, 0] = True

@@ -58,7 +58,7 @@ def test_results_are_those_of_one_process_bit_by_bit(cluster, tmp_path):
     assert isinstance(spread.load(3, "result"), am.Result)
 
 
-def test_a_closure_runs_in_other_processes_with_one_thread_and_warm_kernels(cluster):
+def test_a_closure_runs_elsewhere_on_one_thread_and_warm(cluster):
     import dask
 
     factor, here = 3, os.getpid()
@@ -129,7 +129,7 @@ def test_errors_come_with_type_text_and_traceback(cluster):
         study.run(progress=False, scheduler=cluster, throw=True)
 
 
-def test_what_a_worker_lacks_and_another_adaptmg_are_told_at_once(cluster, tmp_path, monkeypatch):
+def test_what_a_worker_lacks_is_reported_immediately(cluster, tmp_path, monkeypatch):
     (tmp_path / "only_here.py").write_text("def run(n):\n    return {'m': n}\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     import only_here
@@ -141,7 +141,7 @@ def test_what_a_worker_lacks_and_another_adaptmg_are_told_at_once(cluster, tmp_p
         Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=cluster)
 
 
-def test_a_value_that_was_set_in_a_module_does_not_reach_workers_in_silence(cluster, monkeypatch):
+def test_values_set_in_modules_do_not_reach_workers_in_silence(cluster, monkeypatch):
     from adaptmg.study import tables
 
     settings = sys.modules[__name__]
@@ -223,7 +223,7 @@ SCRIPT = """
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
-def test_a_script_that_is_ended_keeps_what_is_done_and_leaves_nothing(tmp_path, kind):
+def test_a_script_that_is_ended_keeps_rows_and_no_process(tmp_path, kind):
     """A script without a guard for ``__main__``, whose runs cannot be interrupted."""
     script, path = tmp_path / "script.py", tmp_path / "s.sqlite"
     script.write_text(textwrap.dedent(SCRIPT), encoding="utf-8")
@@ -351,7 +351,7 @@ def test_a_worker_that_leaves_during_the_check_is_not_unfit(caplog):
         executor.check_workers(client, None, limited=False)
 
 
-def test_processes_that_cannot_be_started_and_ctrl_c_leave_nothing(monkeypatch):
+def test_failed_starts_and_ctrl_c_leave_no_process(monkeypatch):
     before = {child.pid for child in psutil.Process().children(recursive=True)}
     monkeypatch.setattr(sys, "executable", shutil.which("false"))
     with pytest.raises(OSError, match=r"2 processes could not be started .*fewer workers"), local_cluster(2):
@@ -362,7 +362,7 @@ def test_processes_that_cannot_be_started_and_ctrl_c_leave_nothing(monkeypatch):
     assert {child.pid for child in psutil.Process().children(recursive=True)} <= before
 
 
-def test_workers_that_are_killed_while_they_start_are_started_again():
+def test_workers_killed_while_they_start_are_started_again():
     killed = []
 
     def kill():
@@ -416,7 +416,7 @@ def test_the_death_of_a_worker_is_not_a_time_limit(since):
 
 
 @pytest.mark.parametrize("local", [True, False])
-def test_a_study_waits_for_a_queue_but_not_for_processes_that_do_not_come_back(local, monkeypatch, caplog):
+def test_a_study_waits_for_a_queue_not_for_dead_processes(local, monkeypatch, caplog):
     from distributed.core import Status
 
     monkeypatch.setattr(executor, "PATIENCE_S", 0.02)
@@ -442,7 +442,7 @@ def test_a_study_waits_for_a_queue_but_not_for_processes_that_do_not_come_back(l
 
 
 @pytest.mark.parametrize("there", [True, False], ids=["it computes", "its worker died"])
-def test_a_clock_that_runs_out_stops_only_a_run_that_its_worker_computes(there):
+def test_a_clock_stops_only_a_run_that_its_worker_computes(there):
     client = SimpleNamespace(processing=lambda: {"tcp://a": ("r-1",) if there else ()},
                              cancel=lambda *a, **k: None, run=lambda *a, **k: None)
     run = executor._Run({"n": 6}, 1, 0.0, SimpleNamespace(done=lambda: False), worker="tcp://a", began=0.0)

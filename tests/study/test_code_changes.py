@@ -81,7 +81,7 @@ def test_a_change_is_seen_where_it_changes_what_a_run_gives(load, kind, text):
     assert known(again) == code
 
 
-def test_of_a_module_that_was_edited_after_it_was_loaded_the_code_that_runs_counts(load):
+def test_of_an_edited_module_the_code_that_runs_counts(load):
     text = "def run(n):\n    import other\n    return {'m': other.f()}\n### other.py\ndef f():\n    return 1\n"
     script = load(text)
     first, _ = known(script), value(script)

@@ -45,7 +45,7 @@ def test_samples_lie_in_their_ranges_and_come_again(kind):
         assert np.histogram(x, 16, (0.5, 2.0))[0].tolist() == [4] * 16
 
 
-def test_a_sobol_sequence_is_extended_and_points_of_whole_numbers_are_run_once():
+def test_a_sobol_sequence_is_extended_and_no_point_runs_twice():
     assert points(Sobol({"x": (0.0, 1.0)}, 100))[:40] == points(Sobol({"x": (0.0, 1.0)}, 40))
     assert sorted(points(Random({"n": (1, 3)}, 50))) == [(1,), (2,), (3,)]
 

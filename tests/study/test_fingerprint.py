@@ -74,7 +74,7 @@ def uses_node(n):
     (uses_table, "TABLE", {"a": [1, 2]}), (uses_array, "ARRAY", np.array([0.0, 1.0, 2.0, 4.0])),
     (uses_array, "ARRAY", ARRAY.astype(np.float32)), (uses_cached, "FACTOR", 4), (uses_option, "FACTOR", 5),
     (uses_option, "OPTION", Option(2.0)), (uses_node, "NODE", Node(2))])
-def test_a_changed_global_makes_rows_stale_and_an_equal_one_does_not(monkeypatch, run, name, value):
+def test_a_changed_global_makes_rows_stale_an_equal_one_not(monkeypatch, run, name, value):
     before = fingerprint(run)
     monkeypatch.setitem(globals(), name, copy.deepcopy(globals()[name]))
     assert fingerprint(run).parts == before.parts
@@ -102,7 +102,7 @@ def test_rows_of_another_version_of_the_fingerprint_are_stale(tmp_path):
     assert study.run(progress=False)["m"].tolist() == [2] and study.status().done == 1
 
 
-def test_a_script_that_is_run_and_one_that_is_imported_are_the_same(tmp_path, monkeypatch):
+def test_a_script_is_the_same_run_or_imported(tmp_path, monkeypatch):
     script = ("from dataclasses import dataclass\nLIMIT = 3\n@dataclass\nclass Size:\n    h: float = 1.0\n"
               "    def area(self):\n        return self.h**2\nSIZE = Size()\n"
               "def run(n):\n    return {'m': n * LIMIT * SIZE.area()}\n"
@@ -131,7 +131,7 @@ def test_adaptmg_and_packages_count_where_they_are_used():
     assert "package numpy" not in fingerprint(none).parts and "package numpy" in fingerprint(numbers).parts
 
 
-def test_sources_that_were_edited_after_they_were_loaded_are_refused(monkeypatch):
+def test_sources_edited_after_they_were_loaded_are_refused(monkeypatch):
     from adaptmg._fingerprint import _sources
 
     assert _sources.__wrapped__() == _sources()
@@ -167,7 +167,7 @@ def uses_locked(n):
     return {"m": Locked().twice() * n}
 
 
-def test_what_is_named_for_an_attribute_replaces_that_attribute_alone(monkeypatch):
+def test_what_is_named_for_an_attribute_replaces_it_alone(monkeypatch):
     with pytest.raises(TypeError, match=r"Locked\.lock.*depends=\{'lock'"):
         fingerprint(uses_locked)
     before = fingerprint(uses_locked, {"lock": None})
@@ -196,7 +196,7 @@ def test_contents_of_files_count_wherever_depends_names_them(tmp_path):
             fingerprint(uses_factor, {"data": path})
 
 
-def test_a_run_that_sets_a_global_does_not_store_under_its_value_before(tmp_path):
+def test_a_run_that_sets_a_global_is_not_stored_under_the_old(tmp_path):
     def run(n):
         global FACTOR
         FACTOR = n

@@ -123,7 +123,7 @@ def test_a_row_survives_a_power_cut(tmp_path):
     assert store._connection.execute("PRAGMA journal_mode").fetchone() == ("delete",)
 
 
-def test_a_row_whose_writing_was_interrupted_is_written_in_the_end(tmp_path, monkeypatch):
+def test_a_row_whose_writing_was_interrupted_is_written(tmp_path, monkeypatch):
     study, turns = Study(squares, {"n": range(4)}, tmp_path / "s.sqlite"), iter(range(100))
     study._store.put("surrogates", Record(parameters={"n": 1}, status="failed", error="\udcff\x00", machine="\udcff"))
     assert study._store.get("surrogates")[canonical({"n": 1})].error
@@ -161,7 +161,7 @@ def test_those_who_share_a_store_compute_each_point_once(tmp_path, rerun):
     assert all(table["m"].tolist() == list(range(8)) for table in tables)
 
 
-def test_claims_of_processes_that_live_hold_and_those_of_dead_ones_do_not(tmp_path):
+def test_claims_of_live_processes_hold_those_of_dead_ones_not(tmp_path):
     store, key = Store(tmp_path / "s.sqlite"), canonical({"n": 1})
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
@@ -232,7 +232,7 @@ def test_arrays_meshes_results_and_figures_are_kept(tmp_path, where):
         study.load(0, "arrey")
 
 
-def test_a_kept_file_that_is_missing_or_damaged_is_named_and_made_again(tmp_path):
+def test_a_missing_or_damaged_file_is_named_and_made_again(tmp_path):
     study = Study(lambda n: {"a": np.arange(3), "t": "x" * 20_000, "f": Figure()}, {"n": [1]}, tmp_path / "s.sqlite")
     table = study.run(progress=False)
     for name in "atf":
@@ -278,7 +278,7 @@ def test_kept_files_are_whole_and_the_same_each_time(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["..", "absolute", "link", "linked folder", "pipe"])
-def test_paths_in_a_row_from_elsewhere_are_neither_read_nor_removed(tmp_path, kind):
+def test_paths_from_elsewhere_are_neither_read_nor_removed(tmp_path, kind):
     secret, folder = tmp_path / "secret.txt", tmp_path / "s.sqlite.files"
     secret.write_text("x", encoding="utf-8")
     folder.mkdir()
@@ -303,7 +303,7 @@ def test_a_link_to_a_store_is_followed(tmp_path):
     assert (tmp_path / "link.sqlite").is_symlink()
 
 
-def test_the_text_of_a_point_is_that_of_json_gives_it_back_and_is_that_of_no_other_value(tmp_path):
+def test_the_text_of_a_point_is_json_and_of_no_other_value(tmp_path):
     values = [1, 1.0, True, "1", 0, 0.0, -0.0, False, None, "None", (1,), (1.0,), math.nan, math.inf, (), 10**30, 1e300,
               "a\"\\\n\u00e9", (1, (2.0, "b"))]
     for value in values:

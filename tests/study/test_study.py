@@ -90,7 +90,7 @@ def test_a_changed_function_or_version_makes_rows_stale(tmp_path, monkeypatch):
     assert "stale: new none -> 3 (2)" in repr(changed.status())
 
 
-def test_a_file_that_another_process_changes_is_not_taken_for_one_that_runs_changed(tmp_path):
+def test_a_file_changed_by_others_is_not_blamed_on_runs(tmp_path):
     file = tmp_path / "data.txt"
     file.write_text("1", encoding="utf-8")
 
@@ -104,7 +104,7 @@ def test_a_file_that_another_process_changes_is_not_taken_for_one_that_runs_chan
     assert study.run(progress=False)["m"][0] == 2 and study.table()["status"][0] == "done"
 
 
-def test_a_store_holds_several_studies_and_fixed_parameters_count(tmp_path):
+def test_a_store_holds_several_studies_by_fixed_parameters(tmp_path):
     path = tmp_path / "s.sqlite"
     for friction in (0.5, 1.0):
         table = sweep(case, {"sweeps": [1, 2]}, path, fixed={"friction": friction}).run(progress=False)
@@ -157,7 +157,7 @@ def test_a_wrong_study_is_refused_before_anything_runs(run, parameters, fixed, e
 @pytest.mark.parametrize(("returned", "match"), [
     (3.0, "must return a dict"), ({"n": 1}, "a parameter"), ({"status": "CONVERGED"}, "solver_status"),
     ({"a": [1]}, "must be a number"), ({1: 1}, "must be strings")])
-def test_results_that_no_run_can_store_are_refused_at_the_first_run(tmp_path, returned, match):
+def test_results_that_cannot_be_stored_end_the_first_run(tmp_path, returned, match):
     done = []
 
     def run(n):

@@ -76,7 +76,7 @@ def mean_by_simpson(mesh, name, u):
     return total.sum() / (length * (r[a] + r[b]) / 2).sum()
 
 
-def test_terms_add_up_quantities_count_relatively_and_may_be_user_defined():
+def test_terms_add_up_and_quantities_count_relatively():
     def lever(view):
         nodal = np.zeros(view.posed.mesh.points.shape)
         nodal[0, 0] = 2.0
@@ -132,7 +132,7 @@ def test_what_the_solver_leaves_counts(make):
         assert found.algebraic[0] == pytest.approx(true.value - found.value, rel=2e-2, abs=1e-7 * abs(true.value))
 
 
-def test_an_opening_that_all_nodes_hold_closed_is_looked_for_all_the_same():
+def test_an_opening_that_all_nodes_hold_closed_marks_elements():
     hierarchy, result = bar(2)
     assert (result.contact.state != am.OPEN).all()
     estimate = am.Goal(am.Opening("bottom")).indicate(hierarchy, result)
@@ -162,7 +162,7 @@ def valley():
 @pytest.mark.parametrize(("problem", "point", "sizes"), [
     (disc(am.PlaneStrain), None, (8e-3, 1e-3)), (disc(am.Axisymmetric), None, (8e-3, 1e-3)),
     (valley(), (0.037, 0.0), (2e-3, 8e-4))], ids=["plane", "axisymmetric", "point before a gap function"])
-def test_openings_of_curved_boundaries_contain_what_chords_change(problem, point, sizes):
+def test_openings_of_curves_contain_what_chords_change(problem, point, sizes):
     goal = am.Goal(am.Opening(problem.contact[0].boundary, point=point))
     coarse, fine = (am.Hierarchy.graded(problem, (size,)) for size in sizes)
     estimate, right = (goal.indicate(one, am.solve(one, am.ActiveSet())) for one in (coarse, fine))
