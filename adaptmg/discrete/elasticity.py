@@ -23,6 +23,7 @@ from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_colours, in_parts, scattering
+from adaptmg.discrete.anisotropic import Moduli, add_tensors, moduli
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.materials import Axisymmetric, Elastic
@@ -92,9 +93,13 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     dim = mesh.dim
     indptr, indices, *of_nodes = node_pattern(mesh.elements, mesh.n_nodes)
     check_used(indptr)
-    data = np.empty((len(indices), dim, dim))
+    data, bad, own = np.empty((len(indices), dim, dim)), -1, moduli(mesh, materials)
     arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
-    if dim == 3:
+    if own is not None:
+        in_parts(_clear, len(data), data.size, data)
+        _add_tensors(mesh, own, is_axisymmetric(materials), indptr, indices, data)
+        in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
+    elif dim == 3:
         bad = max(in_parts(add_solid, mesh.n_nodes, data.size, *arguments, *of_nodes, indptr, indices, data))
         in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
     else:
@@ -107,6 +112,22 @@ def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
             bad = max(in_colours(ranges, add_plane, *arguments, indptr, indices, data))
     check_shapes(mesh, bad)
     return block_matrix(data, indices, indptr)
+
+
+def _add_tensors(mesh: MeshArrays, own: Moduli, axisymmetric: bool, indptr: np.ndarray, indices: np.ndarray,
+                 data: np.ndarray) -> None:
+    """Add the element matrices of any tensors to the upper half."""
+    n, corners = mesh.elements.shape
+    slopes, measures = np.empty((n, corners, mesh.dim)), np.empty(n)
+    check_shapes(mesh, shape_gradients(0, n, mesh.points, mesh.elements, slopes, measures))
+    nodes = np.arange(n + 1) * corners, mesh.elements.ravel(), slopes.reshape(-1, mesh.dim)
+    blocks = own.rows, own.table, indptr, indices, data
+    if not axisymmetric:
+        add_tensors(*nodes, np.empty(0), measures, *blocks)
+        return
+    for at, weight in zip(*quadrature_rule(corners, AXISYMMETRIC_DEGREE), strict=True):
+        r = mesh.points[mesh.elements, 0] @ at
+        add_tensors(*nodes, (at / r[:, None]).ravel(), weight * 2 * np.pi * r * measures, *blocks)
 
 
 def check_used(indptr: np.ndarray) -> None:
@@ -224,6 +245,19 @@ def solid_gradients(points, corners, g):
             g[3, j] /= det
             g[0, j] = -(g[1, j] + g[2, j] + g[3, j])
     return det / 6.0
+
+
+@kernel
+def shape_gradients(first, last, points, elements, slopes, measures):
+    """Write the gradients (dim + 1, dim) of the shape functions of elements, and their volumes. Returns a bad one."""
+    for e in range(first, last):
+        if points.shape[1] == 2:
+            measures[e] = plane_gradients(points, elements[e], slopes[e])
+        else:
+            measures[e] = solid_gradients(points, elements[e], slopes[e])
+        if not measures[e] > 0.0:
+            return e
+    return -1
 
 
 @inner_kernel

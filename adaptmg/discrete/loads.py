@@ -25,7 +25,8 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants, stiffness
+from adaptmg.discrete.anisotropic import moduli, tensors
+from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, stiffness
 from adaptmg.discrete.smoothed import element_measures, smoothed, smoothed_stiffness
 from adaptmg.discrete.supports import node_at
 from adaptmg.geometry.quadrature import integration, quadrature_points
@@ -127,19 +128,28 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[
     k = mesh.bodies.index(load.body)
     if isinstance(materials[k], PlaneStress):
         strain[:, :, 2] = 0.0
-    lame, shear = (constants[k] for constants in lame_constants(materials))
-    stress = lame * strain.sum(axis=2)[:, :, None] + 2 * shear * strain
+    stress = _stress(mesh, materials, here, strain)
     cells, dim = mesh.elements[here], mesh.dim
     corners = mesh.points[cells]
     gradients = np.linalg.inv(corners[:, 1:] - corners[:, :1])
     gradients = np.concatenate([-gradients.sum(axis=2, keepdims=True), gradients], axis=2)
-    forces = np.einsum("edc,ed->ecd", gradients, np.einsum("eq,eqd->ed", weights, stress[:, :, :dim]))
+    forces = np.einsum("eic,eij->ecj", gradients, np.einsum("eq,eqij->eij", weights, stress[:, :, :dim, :dim]))
     if axisymmetric:
         r = quadrature_points(mesh.points, cells, rule)[:, :, 0]
-        forces[:, :, 0] += np.einsum("eq,qc->ec", weights * stress[:, :, 2] / r, rule)
+        forces[:, :, 0] += np.einsum("eq,qc->ec", weights * stress[:, :, 2, 2] / r, rule)
     result = np.zeros(mesh.points.shape)
     np.add.at(result, cells, forces)
     return result
+
+
+def _stress(mesh: MeshArrays, materials: tuple[Elastic, ...], here: np.ndarray, strain: np.ndarray) -> np.ndarray:
+    """Stress tensors (n, n_points, 3, 3) of normal strains (n, n_points, 3) in the elements ``here`` of one body."""
+    own, one = moduli(mesh, materials), materials[int(mesh.element_body[here[0]])]
+    if own is None:
+        stress = one.lame * strain.sum(axis=2, keepdims=True) + 2 * one.shear_modulus * strain
+        return stress[..., None] * np.eye(3)
+    stress = np.einsum("nij,nqj->nqi", own.table[own.rows[here], :, :3], strain)
+    return tensors(stress.reshape(-1, stress.shape[2])).reshape(*stress.shape[:2], 3, 3)
 
 
 def _check_components(mesh: MeshArrays, load: InitialStrain) -> None:

@@ -24,6 +24,7 @@ from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
+from adaptmg.discrete.anisotropic import add_tensors, moduli
 from adaptmg.discrete.elasticity import (
     Materials,
     block_matrix,
@@ -34,8 +35,7 @@ from adaptmg.discrete.elasticity import (
     lame_constants,
     mirror,
     node_pattern,
-    plane_gradients,
-    solid_gradients,
+    shape_gradients,
 )
 from adaptmg.discrete.recovery import apart
 from adaptmg.mesh.arrays import MeshArrays
@@ -59,7 +59,12 @@ def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
 def smoothed_stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     """Assemble K' as :func:`adaptmg.discrete.stiffness` does the matrix of linear elements; same form and errors."""
     materials = body_materials(mesh, material)
-    patches = _patches(mesh, materials)
+    own = moduli(mesh, materials, EDGE_PART)
+    lame, shear = lame_constants(materials)
+    if own is None:
+        patches = _patches(mesh, materials, edge_lame(lame, shear), shear)
+    else:  # volumes and the numbers of bodies in the place of moduli
+        patches = _patches(mesh, materials, np.ones(len(lame)), np.arange(len(lame), dtype=np.float64))
     n_edges, dim = len(patches.start) - 1, mesh.dim
     places = np.arange(len(patches.nodes), dtype=np.int32 if len(patches.nodes) < 2**31 else np.int64)
     by_node = sparse.csr_array((places, patches.nodes, patches.start), shape=(n_edges, mesh.n_nodes)).tocsc()
@@ -72,8 +77,15 @@ def smoothed_stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_arra
     indices = np.empty(indptr[-1], dtype=np.int32)
     in_parts(find_partners, mesh.n_nodes, size, *listed, indices)
     data = np.empty((len(indices), dim, dim))
-    in_parts(add_patches, mesh.n_nodes, data.size, (0.0,) * dim, *of_nodes, by_node.data, patches.start, patches.nodes,
-             patches.slopes, patches.hoops, patches.lame, patches.shear, indptr, indices, data)
+    if own is not None:
+        edges, data[:] = np.flatnonzero(np.diff(patches.start)), 0.0
+        volumes, start = patches.lame[edges], np.append(patches.start[edges], patches.start[-1])
+        bodies = np.rint(patches.shear[edges] / volumes).astype(np.int32)
+        add_tensors(start, patches.nodes, patches.slopes, patches.hoops, volumes, bodies, own.table, indptr, indices,
+                    data)
+    else:
+        in_parts(add_patches, mesh.n_nodes, data.size, (0.0,) * dim, *of_nodes, by_node.data, patches.start,
+                 patches.nodes, patches.slopes, patches.hoops, patches.lame, patches.shear, indptr, indices, data)
     in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
     return block_matrix(data, indices, indptr)
 
@@ -91,7 +103,7 @@ class _Patches:
     shear: np.ndarray  # (n_edges,)
 
 
-def _patches(mesh: MeshArrays, materials: tuple) -> _Patches:
+def _patches(mesh: MeshArrays, materials: tuple, lame: np.ndarray, shear: np.ndarray) -> _Patches:
     """Around each edge, which is an entry above the diagonal of the nodal pattern; of all others nothing is around."""
     cells, points = apart(mesh)
     n, axisymmetric = len(points), is_axisymmetric(materials)
@@ -111,10 +123,9 @@ def _patches(mesh: MeshArrays, materials: tuple) -> _Patches:
     nodes, own, hoops = np.empty(start[-1], dtype=np.int32), np.empty((start[-1], mesh.dim)), np.empty(0)
     if axisymmetric:
         hoops = np.empty(start[-1])
-    lame, shear = lame_constants(materials)
     edges = np.empty((2, len(indices)))
     in_parts(fill_patches, n, size, *arguments, mesh.elements, mesh.element_body, slopes, measures, hoop,
-             edge_lame(lame, shear), shear, nodes, own, hoops, *edges)
+             lame, shear, nodes, own, hoops, *edges)
     return _Patches(start, nodes, own, hoops, *edges)
 
 
@@ -125,19 +136,6 @@ def smoothed(mesh: MeshArrays, values: np.ndarray, measures: np.ndarray) -> np.n
     result = np.zeros(values.shape)
     smooth(cells, start, listed, indptr, indices, measures, np.ascontiguousarray(values), result)
     return result
-
-
-@kernel
-def shape_gradients(first, last, points, elements, slopes, measures):
-    """Write the gradients (dim + 1, dim) of the shape functions of elements, and their volumes. Returns a bad one."""
-    for e in range(first, last):
-        if points.shape[1] == 2:
-            measures[e] = plane_gradients(points, elements[e], slopes[e])
-        else:
-            measures[e] = solid_gradients(points, elements[e], slopes[e])
-        if not measures[e] > 0.0:
-            return e
-    return -1
 
 
 @inner_kernel

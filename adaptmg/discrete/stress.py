@@ -8,6 +8,8 @@ constant on an element, but for the hoop strain :math:`u_r / r` of axisymmetric 
 taken: its value at the centroid, :math:`\int u_r \big/ \int r`. The strain energy is
 :math:`\tfrac12 \int \sigma : (\varepsilon - \varepsilon_0)`, by the quadrature of the stiffness matrix.
 
+Bodies of which one is anisotropic have the tensors of :mod:`adaptmg.discrete.anisotropic`.
+
 Smoothed elements have the stress that is in equilibrium, :math:`\sum_T V_T\, \sigma_T : \varepsilon_T(v) = b^T v`: by
 means around edges (S of :mod:`adaptmg.discrete.smoothed`), with the mean pressure p of the groups of their corners:
 
@@ -23,9 +25,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptmg._numba import kernel
+from adaptmg.discrete.anisotropic import Moduli, moduli, tensors
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.loads import mean_initial_strain
-from adaptmg.discrete.smoothed import edge_lame, element_measures, smoothed
+from adaptmg.discrete.smoothed import EDGE_PART, edge_lame, element_measures, smoothed
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import InitialStrain, Load
@@ -101,6 +104,7 @@ class StressData:
     # of groups of nodes (adaptmg.discrete.volumes), if there are any
     pressure: np.ndarray | None = None  # (n_elements,): mean of the corners, tension positive, Pa
     volume_energy: float = 0.0  # J (plane: J/m)
+    moduli: Moduli | None = None  # where a body is anisotropic; Lame constants are those of an isotropic one near it
 
     @classmethod
     def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = (), elements: str = "linear"
@@ -112,7 +116,8 @@ class StressData:
         strains = [load for load in loads if isinstance(load, InitialStrain)]
         initial = mean_initial_strain(mesh, strains, axisymmetric=is_axisymmetric(materials)) if strains else None
         return cls(*lame_constants(materials), np.array(kind, dtype=np.int8),
-                   np.zeros((0, 3)) if initial is None else initial, elements == "smoothed")
+                   np.zeros((0, 3)) if initial is None else initial, elements == "smoothed",
+                   moduli=moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf))
 
     @property
     def axisymmetric(self) -> bool:
@@ -127,7 +132,8 @@ class StressData:
         """Strain tensors (n_elements, 3, 3), initial strains included: through the thickness, and of the hoop, too."""
         strain, thin = self._elastic(mesh, displacement), (self.kind == _THIN)[mesh.element_body]
         body, sheet = mesh.element_body[thin], strain[thin]
-        strain[thin, 2, 2] = -self.lame[body] / (2 * self.shear[body]) * (sheet[:, 0, 0] + sheet[:, 1, 1])
+        strain[thin, 2, 2] = (-self.lame[body] / (2 * self.shear[body]) * (sheet[:, 0, 0] + sheet[:, 1, 1])
+                              if self.moduli is None else self.moduli.stress(strain)[thin, 2])
         if len(self.initial_strain):
             strain[:, np.arange(3), np.arange(3)] += self.initial_strain
         return strain
@@ -138,6 +144,13 @@ class StressData:
         lame, shear, volume = self.lame[body, None], self.shear[body, None], element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
         strain[(self.kind == _THIN)[body], 2] = 0.0
+        if self.moduli is not None:
+            stress = self.moduli.stress(strain[:, :, None] * np.eye(3))
+            if plane := mesh.dim == 2 and not self.axisymmetric:
+                stress = stress[:, [0, 1, 3]]
+            # means around edges of what the tensors of bodies make
+            means = smoothed(mesh, stress, volume) if self.smoothed else stress
+            return float(volume @ self.moduli.work(stress, means, plane))
         stress = (lame * strain.sum(axis=1, keepdims=True) + 2 * shear * strain)[:, :dim]
         # what strains in the plane alone are under this stress
         elastic = (stress - lame / (dim * lame + 2 * shear) * stress.sum(axis=1, keepdims=True)) / (2 * shear)
@@ -183,11 +196,13 @@ class StressData:
             volumes = element_measures(mesh, self.axisymmetric)
             strain = smoothed(mesh, strain.reshape(-1, 9), volumes).reshape(strain.shape)
             lame = edge_lame(lame, self.shear)
-        stress = 2 * self.shear[body][:, None, None] * strain
-        isotropic = lame[body] * np.trace(strain, axis1=1, axis2=2)
+        if self.moduli is None:
+            stress = 2 * self.shear[body][:, None, None] * strain
+            stress[:, diagonal, diagonal] += (lame[body] * np.trace(strain, axis1=1, axis2=2))[:, None]
+        else:
+            stress = tensors(self.moduli.stress(strain))
         if self.pressure is not None:
-            isotropic += self.pressure
-        stress[:, diagonal, diagonal] += isotropic[:, None]
+            stress[:, diagonal, diagonal] += self.pressure[:, None]
         stress[(self.kind == _THIN)[body], 2, 2] = 0.0
         return stress
 

@@ -21,10 +21,12 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
+from adaptmg.discrete.anisotropic import Moduli, moduli, tensors
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.elasticity import body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.loads import body_elements, foundation, load_density
@@ -86,13 +88,21 @@ class EdgeBubbles:
         works = np.zeros((len(fields), *self.element_edges.shape, dim))
         slopes = [np.einsum("nci,ncj->nij", nodal[mesh.elements], self._gradients) for nodal in fields]
         for weight, at, r, gradients, hoop in self._points:
-            spread = gradients.copy()
-            spread[:, :, 0] += hoop
-            block = lame[:, None, None, None] * np.einsum("nki,nkj->nkij", spread, spread)
-            block += shear[:, None, None, None] * np.einsum("nki,nkj->nkij", gradients, gradients)
-            square = np.einsum("nkj,nkj->nk", gradients, gradients)
-            block += (shear[:, None] * square)[:, :, None, None] * np.eye(dim)
-            block[:, :, 0, 0] += 2 * shear[:, None] * hoop**2
+            if self._tensors is None:
+                spread = gradients.copy()
+                spread[:, :, 0] += hoop
+                block = lame[:, None, None, None] * np.einsum("nki,nkj->nkij", spread, spread)
+                block += shear[:, None, None, None] * np.einsum("nki,nkj->nkij", gradients, gradients)
+                square = np.einsum("nkj,nkj->nk", gradients, gradients)
+                block += (shear[:, None] * square)[:, :, None, None] * np.eye(dim)
+                block[:, :, 0, 0] += 2 * shear[:, None] * hoop**2
+            else:
+                block = np.empty((*gradients.shape, dim))
+                for k, i in product(range(gradients.shape[1]), range(dim)):
+                    slope, alone = np.zeros((len(gradients), dim, dim)), slice(k, k + 1)
+                    slope[:, i] = gradients[:, k]
+                    around = hoop[:, k] if i == 0 else np.zeros(len(hoop))
+                    block[:, k, :, i] = self._work(slope, around, gradients[:, alone], hoop[:, alone])[:, 0]
             blocks += weight[:, None, None, None] * block
             for work, nodal, slope in zip(works, fields, slopes, strict=True):
                 around = nodal[mesh.elements, 0] @ at / r if self.axisymmetric else np.zeros(len(r))
@@ -122,6 +132,11 @@ class EdgeBubbles:
         return lame[self.mesh.element_body], shear[self.mesh.element_body]
 
     @cached_property
+    def _tensors(self) -> Moduli | None:
+        """Tensors of the elements where a body is anisotropic."""
+        return moduli(self.mesh, body_materials(self.mesh, self.problem.material))
+
+    @cached_property
     def _gradients(self) -> np.ndarray:
         """Gradients (n_elements, dim + 1, dim) of the barycentric coordinates."""
         corners = self.mesh.points[self.mesh.elements]
@@ -146,9 +161,17 @@ class EdgeBubbles:
 
     def _work(self, slope: np.ndarray, around: np.ndarray, gradients: np.ndarray, hoop: np.ndarray) -> np.ndarray:
         """Work (n_elements, k, dim) of the stress of displacement gradients and hoop strains on the bubbles."""
-        lame, shear = self._moduli
+        dim, (lame, shear) = self.mesh.dim, self._moduli
+        if self._tensors is not None:
+            strain = np.zeros((len(slope), 3, 3))
+            strain[:, :dim, :dim] = 0.5 * (slope + slope.swapaxes(1, 2))
+            strain[:, 2, 2] += around
+            stress = tensors(self._tensors.stress(strain))
+            result = gradients @ stress[:, :dim, :dim]
+            result[:, :, 0] += stress[:, 2, 2, None] * hoop
+            return result
         pressure = lame * (np.trace(slope, axis1=1, axis2=2) + around)
-        stress = shear[:, None, None] * (slope + slope.swapaxes(1, 2)) + pressure[:, None, None] * np.eye(self.mesh.dim)
+        stress = shear[:, None, None] * (slope + slope.swapaxes(1, 2)) + pressure[:, None, None] * np.eye(dim)
         result = gradients @ stress
         result[:, :, 0] += (pressure + 2 * shear * around)[:, None] * hoop
         return result

@@ -164,9 +164,10 @@ def _padded(values: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _jumps(points, elements, across, opposite, columns, stress, weight, radial, hoop, lame, squares):
+def _jumps(points, elements, across, opposite, columns, stress, weight, radial, hoop, around, squares):
     """Add the jumps of the traction over facets to ``squares``; ``weight`` (n_elements,) is 1 / (2 E). Of axisymmetric
-    bodies ``radial`` (n_nodes,) is u_r and ``hoop`` (n_elements,) the hoop strain of ``stress``; of others empty."""
+    bodies ``radial`` (n_nodes,) is u_r, ``hoop`` (n_elements,) the hoop strain of ``stress``, and ``around``
+    (n_elements, 4) what a hoop strain of 1 adds to it; of others empty."""
     dim = points.shape[1]
     normal, jump = np.empty(dim), np.empty(dim)
     for e in range(len(elements)):
@@ -200,8 +201,12 @@ def _jumps(points, elements, across, opposite, columns, stress, weight, radial, 
                     r = share * points[a, 0] + (1.0 - share) * points[b, 0]
                     if r > 0.0:
                         there = (share * radial[a] + (1.0 - share) * radial[b]) / r
-                        more = lame[e] * (there - hoop[e]) - lame[f] * (there - hoop[f])
-                        size += math.pi * r * ((jump[0] + more * normal[0])**2 + (jump[1] + more * normal[1])**2)
+                        for d in range(2):
+                            more = jump[d]
+                            for i in range(2):
+                                more += normal[i] * (around[e, columns[d, i]] * (there - hoop[e])
+                                                     - around[f, columns[d, i]] * (there - hoop[f]))
+                            size += math.pi * r * more * more
             squares[e] += weight[e] * size
             squares[f] += weight[f] * size
 
@@ -213,7 +218,8 @@ def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -
     """Squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus."""
     mesh, squares = stress.mesh, np.zeros(len(across))
     _jumps(mesh.points, mesh.elements, across, OPPOSITE[mesh.dim], stress.columns, stress.values, 0.5 / young,
-           np.ascontiguousarray(stress.displacement[:, 0]), stress.hoop, stress.varying, squares)
+           np.ascontiguousarray(stress.displacement[:, 0]), stress.hoop,
+           stress.of_hoop if stress.axisymmetric else np.empty((0, 4)), squares)
     return squares
 
 
@@ -233,12 +239,14 @@ def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarr
 
 def _divergence(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
     """Divergence (n_elements, n_points, 2) of an axisymmetric stress: (d_r sigma_rr + (sigma_rr - sigma_tt) / r, d_z
-    sigma_zz + sigma_rz / r), where sigma_rr and sigma_zz vary by lame times the hoop strain u_r / r."""
+    sigma_zz + sigma_rz / r), where stresses vary with the hoop strain u_r / r."""
     mesh = stress.mesh
     slope = displacement_gradient(mesh, stress.displacement)[:, 0, :, None]
-    r, values, lame = mesh.points[mesh.elements, 0] @ rule.T, stress.values, stress.varying[:, None]
-    rise = stress.rise(slice(None), mesh.elements, rule)
-    along_r = (lame * (slope[:, 0] - stress.hoop[:, None]) + (values[:, 0] - values[:, 2])[:, None]
-               - (lame + 2 * stress.shear[:, None]) * rise)
-    along_z = np.broadcast_to(lame * slope[:, 1] + values[:, 3:], r.shape)
-    return np.stack([along_r / r, along_z / r], axis=2)
+    rise, values = stress.rise(slice(None), mesh.elements, rule), stress.values[:, :, None]
+    per_hoop, r = stress.of_hoop[:, :, None], mesh.points[mesh.elements, 0] @ rule.T
+    # r times the change of the hoop strain along r and along z
+    along_r, along_z = slope[:, 0] - stress.hoop[:, None] - rise, slope[:, 1]
+    radial = (per_hoop[:, 0] * along_r + per_hoop[:, 3] * along_z + values[:, 0] - values[:, 2]
+              + (per_hoop[:, 0] - per_hoop[:, 2]) * rise)
+    axial = per_hoop[:, 3] * (along_r + rise) + per_hoop[:, 1] * along_z + values[:, 3]
+    return np.stack([radial / r, axial / r], axis=2)

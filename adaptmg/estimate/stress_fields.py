@@ -67,9 +67,13 @@ class ElementStress:
         return self.data.lame[self.mesh.element_body]
 
     @cached_property
-    def varying(self) -> np.ndarray:
-        """Lame's first constant (n_elements,) as it acts on what hoop strains vary by within an element, Pa."""
-        return np.zeros(len(self.mesh.elements)) if self.data.smoothed else self.lame
+    def of_hoop(self) -> np.ndarray:
+        """Stresses rr, zz, hoop, rz (n_elements, 4) of a hoop strain of 1, Pa, which varies within linear elements."""
+        if self.data.smoothed:
+            return np.zeros((len(self.mesh.elements), 4))
+        if self.data.moduli is not None:
+            return self.data.moduli.of_hoop()
+        return np.column_stack([self.lame, self.lame, self.lame + 2 * self.shear, np.zeros(len(self.lame))])
 
     @cached_property
     def shear(self) -> np.ndarray:
@@ -82,8 +86,8 @@ class ElementStress:
         plain = np.einsum("nij,nj->ni", self.values[elements][:, self.columns], normals)
         result = np.repeat(plain[:, None, :], len(rule), axis=1)
         if self.axisymmetric:
-            rise = self.lame[elements, None] * self.rise(elements, facets, rule)
-            result += rise[:, :, None] * normals[:, None, :]
+            more = np.einsum("nij,nj->ni", self.of_hoop[elements][:, self.columns], normals)
+            result += self.rise(elements, facets, rule)[:, :, None] * more[:, None, :]
         return result
 
     @cached_property

@@ -62,7 +62,7 @@ class Contact:
 class ContactProblem:
     """Elastic bodies in contact: pure data in SI units (m, N, Pa), without a mesh.
 
-    The theory is linear but for contact and friction: small strains and slips, isotropic linear elasticity, linear
+    The theory is linear but for contact and friction: small strains and slips, linear elasticity, linear
     displacements on each element; contact is sought in the undeformed position. :func:`adaptmg.solve` warns where a
     solution goes beyond.
 
@@ -147,6 +147,9 @@ class ContactProblem:
         if checks.choice("elements", self.elements, ELEMENTS) == "linear":
             return
         for one in [self.material] if isinstance(self.material, Elastic) else self.material.values():
+            if one.anisotropy is not None and one.anisotropy.varies:
+                raise ValueError("axes of an anisotropic material must not vary in a body with smoothed elements: take "
+                                 "elements=\"linear\"")
             if one.poisson > _MOST_POISSON and not isinstance(one, PlaneStress):
                 raise ValueError(f"poisson must be at most {_MOST_POISSON:g} with smoothed elements, got "
                                  f"{one.poisson:g}: take elements=\"linear\"")

@@ -129,6 +129,43 @@ class InitialStrain:
         checks.boundary_name("body", self.body)
         checks.convert(self, _components, "components")
 
+    @classmethod
+    def thermal(cls, expansion: FieldLike | Sequence[FieldLike], temperature: FieldLike, *, body: str = "body"
+                ) -> InitialStrain:
+        """Return the strains of a change of temperature.
+
+        Parameters
+        ----------
+        expansion : float, callable, or two or three of these
+            Coefficient of expansion, 1/K: in all directions alike, or components as of the class.
+        temperature : float or callable
+            Temperature over that at which the body is free of stress, K.
+        body : str
+            Its name; a body alone is called "body".
+
+        Examples
+        --------
+        >>> am.InitialStrain.thermal(1.2e-5, 50.0).components
+        (0.0006000000000000001, 0.0006000000000000001, 0.0006000000000000001)
+        """
+        alike = callable(expansion) or not isinstance(expansion, Sequence | np.ndarray)
+        each = _components("expansion", (expansion,) * 3 if alike else expansion)
+        rise = checks.function_or("temperature", temperature)
+        return cls(body, tuple(_Product(one, rise) if callable(one) or callable(rise) else one * rise for one in each))
+
+
+@dataclass(frozen=True)
+class _Product:
+    """Two numbers or functions of position, multiplied."""
+
+    first: FieldLike
+    second: FieldLike
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        first, second = (checks.field(name, value, points) for name, value in (
+            ("expansion", self.first), ("temperature", self.second)))
+        return first * second
+
 
 @dataclass(frozen=True, kw_only=True)
 class Preload:

@@ -118,7 +118,7 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
 
 def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
     materials = body_materials(mesh, problem.material)
-    stiffness = [2 * one.shear_modulus + min(3 * one.lame, 0.0) for one in materials]
+    stiffness = [one.least_stiffness for one in materials]
     volume = mesh.volumes
     if problem.axisymmetric:
         volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))

@@ -17,6 +17,7 @@ from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
 from adaptmg._on_demand import ABSENT, made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
+from adaptmg.discrete.anisotropic import Moduli
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, as_tensors, von_mises
@@ -448,7 +449,7 @@ Result.mesh = made_on_demand("mesh", "The finest mesh.", "this result has no mes
                              "DiscreteProblem): its .displacement and .contact need none")
 
 #: what the file of a result holds
-KINDS = (Result, ContactResult, MeshArrays, StressData, Certificate, Condition, Status)
+KINDS = (Result, ContactResult, MeshArrays, StressData, Moduli, Certificate, Condition, Status)
 
 
 @dataclass(frozen=True, eq=False)

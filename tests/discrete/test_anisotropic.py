@@ -1,0 +1,240 @@
+"""Materials that depend on the direction, and thermal strains: against isotropic ones, turned bodies, closed forms."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bisected_meshes import shaken
+from refused import refused
+from scipy.spatial.transform import Rotation
+
+import adaptmg as am
+from adaptmg.discrete import load_vector
+from adaptmg.discrete.loads import supported_stiffness
+from adaptmg.discrete.stress import StressData
+from adaptmg.mesh import structured
+
+KINDS = {"plane strain": am.PlaneStrain, "plane stress": am.PlaneStress, "axisymmetric": am.Axisymmetric,
+         "solid": am.Solid}
+EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+BOTH_ELEMENTS = pytest.mark.parametrize("elements", ["linear", "smoothed"])
+WOOD = {"young": (12e9, 0.8e9, 0.5e9), "poisson": (0.4, 0.35, 0.5), "shear": (0.7e9, 0.6e9, 0.1e9)}
+LIKE_STEEL = {"young": (2.1e11,) * 3, "poisson": (0.3,) * 3, "shear": (2.1e11 / 2.6,) * 3}
+RANDOM = np.random.default_rng(33)
+
+
+def mesh_of(dim: int) -> am.MeshArrays:
+    """Two bodies that share nodes, shaken."""
+    mesh = shaken(structured(am.Rectangle(width=2.0, height=1.0, origin=(0.5, 0.0)), (4, 3)) if dim == 2
+                  else structured(am.Box(width=2.0, depth=1.0, height=1.0), (3, 2, 2)), 0.04, 2)
+    return replace(mesh, bodies=("left", "right"), source=None,
+                   element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.4)
+
+
+MESHES = {dim: mesh_of(dim) for dim in (2, 3)}
+
+
+def turned(kind, values, angle: float = 0.0):
+    return (kind.orthotropic(**values, angle=angle) if kind.dim == 2 else
+            kind.orthotropic(**values, axes=Rotation.random(random_state=int(angle)).as_matrix()))
+
+
+@EACH_KIND
+@BOTH_ELEMENTS
+def test_tensors_of_isotropic_materials_change_nothing(kind, elements):
+    mesh, other = MESHES[kind.dim], kind(young=7e10, poisson=-0.2)
+    loads = [am.InitialStrain("left", (1e-3, lambda x: 1e-3 * x[:, 0], -2e-3))]
+    u = RANDOM.standard_normal(mesh.points.shape)
+    plain = {"left": kind(young=2.1e11, poisson=0.3), "right": other}
+    own = {"left": turned(kind, LIKE_STEEL, 33.0), "right": other}
+    first, second = (supported_stiffness(mesh, one, (), elements) for one in (plain, own))
+    assert abs(first - second).max() < 1e-14 * abs(first).max() and abs(second - second.T).max() == 0.0
+    np.testing.assert_array_equal(first.indices, second.indices)
+    forces, others = (load_vector(mesh, loads, one, elements) for one in (plain, own))
+    assert np.abs(forces - others).max() < 1e-13 * np.abs(forces).max()
+    before, after = (StressData.of(mesh, one, loads, elements) for one in (plain, own))
+    for values in ("tensors", "strains"):
+        a, b = getattr(before, values)(mesh, u), getattr(after, values)(mesh, u)
+        assert np.abs(a - b).max() < 1e-13 * np.abs(a).max()
+    assert after.energy(mesh, u) == pytest.approx(before.energy(mesh, u), rel=1e-12)
+    assert after.suppressed(mesh) == pytest.approx(before.suppressed(mesh), rel=1e-12)
+
+
+@EACH_KIND
+@BOTH_ELEMENTS
+def test_energies_are_those_of_the_matrix_and_uniform_fields_are_in_balance(kind, elements):
+    mesh, material = MESHES[kind.dim], turned(kind, WOOD, RANDOM.uniform(0, 360))
+    matrix, u = supported_stiffness(mesh, material, (), elements), RANDOM.standard_normal(mesh.points.shape)
+    data = StressData.of(mesh, material, (), elements)
+    assert data.energy(mesh, u) == pytest.approx(0.5 * u.ravel() @ matrix @ u.ravel(), rel=1e-12)
+    assert np.linalg.eigvalsh(matrix.toarray()).min() > -1e-12 * abs(matrix).max()
+    if kind is not am.Axisymmetric:
+        forces = (matrix @ (mesh.points @ RANDOM.standard_normal((kind.dim, kind.dim))).ravel()).reshape(-1, kind.dim)
+        inner = np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
+        assert np.abs(forces[inner]).max() < 1e-13 * np.abs(forces).max()
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_uniaxial_stress_makes_the_strains_of_the_constants(k):
+    axes, mesh = Rotation.random(random_state=k).as_matrix(), MESHES[3]
+    own = np.zeros((3, 3))
+    ratios = {(0, 1): 0.4, (0, 2): 0.35, (1, 2): 0.5}
+    for j in range(3):
+        first = min(j, k)
+        own[j, j] = 1 / WOOD["young"][k] if j == k else -ratios[min(j, k), max(j, k)] / WOOD["young"][first]
+    own[0, 1] = own[1, 0] = 0.5 * (k + 1) / WOOD["shear"][0]
+    own[1, 2] = own[2, 1] = -0.5 * k / WOOD["shear"][2]
+    stress = np.diag(np.eye(3)[k])
+    stress[0, 1] = stress[1, 0] = k + 1
+    stress[1, 2] = stress[2, 1] = -k
+    data = StressData.of(mesh, am.Solid.orthotropic(**WOOD, axes=axes))
+    found = data.tensors(mesh, mesh.points @ (axes.T @ own @ axes))
+    np.testing.assert_allclose(found, np.broadcast_to(axes.T @ stress @ axes, found.shape), atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", [am.PlaneStrain, am.PlaneStress, am.Axisymmetric])
+def test_plane_bodies_have_the_stresses_of_solids(kind):
+    angle, mesh, solid = RANDOM.uniform(0, 360), MESHES[2], MESHES[3]
+    turn = Rotation.from_euler("z", angle, degrees=True).as_matrix().T
+    strain = np.array([[1e-3, 4e-4, 0.0], [4e-4, -2e-3, 0.0], [0.0, 0.0, 1e-3 if kind is am.Axisymmetric else 0.0]])
+    if kind is am.Axisymmetric:
+        strain[0, 1] = strain[1, 0] = 0.0       # u_r = c r has no shear
+    data = StressData.of(mesh, kind.orthotropic(**WOOD, angle=angle))
+    u = mesh.points @ strain[:2, :2]
+    stress = data.tensors(mesh, u)[0]
+    strain[2, 2] = data.strains(mesh, u)[0, 2, 2]
+    of_solid = StressData.of(solid, am.Solid.orthotropic(**WOOD, axes=turn)).tensors(solid, solid.points @ strain)[0]
+    np.testing.assert_allclose(stress, of_solid, atol=1e-10 * np.abs(stress).max())
+    assert (kind is not am.PlaneStress) == (abs(stress[2, 2]) > 1e-3 * np.abs(stress).max())
+
+
+@pytest.mark.parametrize("kind", [am.PlaneStrain, am.PlaneStress, am.Solid])
+@BOTH_ELEMENTS
+def test_a_turned_material_is_a_turned_body(kind, elements):
+    mesh, angle = MESHES[kind.dim], RANDOM.uniform(0, 360)
+    if kind.dim == 2:
+        turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()[:2, :2]
+        before, after = kind.orthotropic(**WOOD, angle=20.0), kind.orthotropic(**WOOD, angle=20.0 + angle)
+    else:
+        turn, axes = (Rotation.random(random_state=k).as_matrix() for k in (5, 6))
+        before, after = kind.orthotropic(**WOOD, axes=axes), kind.orthotropic(**WOOD, axes=axes @ turn.T)
+    at_once = np.kron(np.eye(mesh.n_nodes), turn)
+    first = at_once @ supported_stiffness(mesh, before, (), elements).toarray() @ at_once.T
+    second = supported_stiffness(replace(mesh, points=mesh.points @ turn.T, source=None), after, (), elements).toarray()
+    assert np.abs(first - second).max() < 1e-12 * np.abs(first).max()
+
+
+def test_axes_may_follow_the_position():
+    mesh = MESHES[2]
+    constant = supported_stiffness(mesh, am.PlaneStrain.orthotropic(**WOOD, angle=30.0), ())
+    same = supported_stiffness(mesh, am.PlaneStrain.orthotropic(**WOOD, angle=lambda x: 30.0 + 0 * x[:, 0]), ())
+    assert abs(constant - same).max() < 1e-14 * abs(constant).max()
+    # rings of a trunk around the origin: turned by any angle they are the same
+    trunk = am.PlaneStress.orthotropic(**WOOD, angle=lambda x: np.degrees(np.arctan2(x[:, 1], x[:, 0])))
+    turn = Rotation.from_euler("z", 77.0, degrees=True).as_matrix()[:2, :2]
+    at_once = np.kron(np.eye(mesh.n_nodes), turn)
+    first = at_once @ supported_stiffness(mesh, trunk, ()).toarray() @ at_once.T
+    second = supported_stiffness(replace(mesh, points=mesh.points @ turn.T, source=None), trunk, ()).toarray()
+    assert np.abs(first - second).max() < 1e-12 * np.abs(first).max()
+    solid = am.Solid.orthotropic(**WOOD, axes=lambda x: np.broadcast_to(np.eye(3), (len(x), 3, 3)))
+    plain = supported_stiffness(MESHES[3], am.Solid.orthotropic(**WOOD), ())
+    assert abs(supported_stiffness(MESHES[3], solid, ()) - plain).max() < 1e-14 * abs(plain).max()
+
+
+@pytest.mark.parametrize("kind", [am.PlaneStress, am.Axisymmetric, am.Solid])
+@BOTH_ELEMENTS
+def test_what_expands_freely_bears_no_stress(kind, elements):
+    mesh, material = MESHES[kind.dim], turned(kind, WOOD, 25.0)
+    heat = [am.InitialStrain.thermal(1.2e-5, 40.0, body=body) for body in mesh.bodies]
+    u = 1.2e-5 * 40.0 * mesh.points
+    load = load_vector(mesh, heat, material, elements)
+    forces = supported_stiffness(mesh, material, (), elements) @ u.ravel()
+    assert np.abs(forces - load).max() < 1e-12 * np.abs(load).max()
+    stress = StressData.of(mesh, material, heat, elements).tensors(mesh, u)
+    assert np.abs(stress).max() < 1e-12 * 12e9 * 1.2e-5 * 40.0
+
+
+def test_thermal_strains_take_numbers_and_functions():
+    x = RANDOM.uniform(size=(5, 2))
+    assert am.InitialStrain.thermal(1e-5, 100.0).components == (1e-5 * 100.0,) * 3
+    along = am.InitialStrain.thermal((1e-5, lambda x: 1e-5 * x[:, 0], 0.0), lambda x: 100 * x[:, 1], body="pin")
+    assert along.body == "pin" and along == replace(along)
+    np.testing.assert_allclose([one(x) for one in along.components],
+                               [1e-3 * x[:, 1], 1e-3 * x[:, 0] * x[:, 1], 0 * x[:, 0]])
+
+
+@BOTH_ELEMENTS
+def test_a_disc_hot_inside_has_the_hoop_stress_of_timoshenko(elements):
+    inner, outer, rise = 0.1, 0.25, 80.0
+    mesh = structured(am.Rectangle(width=outer - inner, height=2e-3, origin=(inner, 0.0)), (60, 1))
+    log, steel = math.log(outer / inner), am.Axisymmetric(young=2.1e11, poisson=0.3)
+    heat = [am.InitialStrain.thermal(1.2e-5, lambda x: rise * np.log(outer / x[:, 0]) / log)]
+    matrix, load = supported_stiffness(mesh, steel, (), elements).toarray(), load_vector(mesh, heat, steel, elements)
+    u = np.linalg.lstsq(matrix, load, rcond=1e-10)[0].reshape(-1, 2)
+    hoop = StressData.of(mesh, steel, heat, elements).tensors(mesh, u)[:, 2, 2]
+    r = mesh.points[mesh.elements, 0].mean(axis=1)
+    exact = 2.1e11 * 1.2e-5 * rise / (2 * log) * (
+        1 - np.log(outer / r) - inner**2 / (outer**2 - inner**2) * (1 + outer**2 / r**2) * log)
+    assert np.abs(hoop - exact).max() < 0.025 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("angle", [0.0, 90.0])
+def test_a_rigid_cylinder_presses_an_orthotropic_half_plane_as_in_closed_form(angle):
+    (e1, e2, e3), (n12, n13, n23), (g12, *_) = WOOD.values()
+    compliance = np.array([[1 / e1, -n12 / e1, -n13 / e1], [-n12 / e1, 1 / e2, -n23 / e2],
+                           [-n13 / e1, -n23 / e2, 1 / e3]])
+    plane = compliance[:2, :2] - np.outer(compliance[:2, 2], compliance[2, :2]) / compliance[2, 2]
+    along, normal = (plane[0, 0], plane[1, 1]) if angle == 0 else (plane[1, 1], plane[0, 0])
+    # of a half-plane normal to an axis (Lekhnitskii): 2 / E* of an isotropic one
+    soft = math.sqrt(normal * (2 * plane[0, 1] + 1 / g12 + 2 * math.sqrt(along * normal)))
+    radius, a, size, fine = 0.05, 1e-3, 0.06, 10
+    load = math.pi * a**2 * (2 / soft) / (4 * radius)
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=size, height=size), material=am.PlaneStrain.orthotropic(**WOOD, angle=angle),
+        contact=am.Contact("bottom", am.GapFunction(lambda x: 0.5 * x[:, 0]**2 / radius)), law=am.Frictionless(),
+        loads=(am.Pressure("top", load / 2 / size),), supports=(am.Support("left", x=0),))
+    near = am.SizeNear([(0.0, 0.0)], size=a / fine, radius=1.3 * a, grading=2.4 / fine)
+    meshes = [am.mesh.sized(problem.domain, near.scaled(k), k * size / 20, grading=k * near.grading) for k in (2, 1)]
+    contact = am.solve(am.Hierarchy.from_meshes(problem, meshes)).contact
+    x, peak = contact.x[:, 0] / a, 2 * load / (math.pi * a)
+    slope, square = np.polyfit(x[x < 0.8]**2, (contact.pressure[x < 0.8] / peak)**2, 1)
+    found = math.sqrt(square), math.sqrt(square / -slope)
+    assert found == pytest.approx((1, 1), abs=0.015)
+
+
+@pytest.mark.parametrize("name", ["greco_bar", "hertz_sphere", "greco_block"])
+def test_estimates_of_isotropic_tensors_are_those_of_isotropic_materials(name, tmp_path):
+    plain = am.cases.CASES[name].function()
+    material = plain.material
+    constants = {"young": material.young, "poisson": material.poisson, "shear": material.shear_modulus}
+    own = replace(plain, material=turned(type(material), {name: (one,) * 3 for name, one in constants.items()}, 40.0))
+    size = 4e-3 if name == "hertz_sphere" else 10e-3
+    goal, found = am.Goal(am.MeanDisplacement("top" if name != "hertz_sphere" else "upper.top", "y")), []
+    for problem in (plain, own):
+        grids = am.Hierarchy.graded(problem, (size,))
+        result = am.solve(grids, am.ActiveSet(rtol=1e-12))
+        found.append([one.indicate(grids, result).total for one in (am.Residual(), am.Recovery(), goal)])
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    result.save(tmp_path / "run.npz")
+    np.testing.assert_array_equal(am.Result.load(tmp_path / "run.npz").stress(), result.stress())
+
+
+SILICON = np.diag([166e9] * 3 + [80e9] * 3) + 64e9 * np.pad(1 - np.eye(3), (0, 3))
+
+test_refuses = refused(
+    (lambda: am.PlaneStrain.orthotropic(**WOOD | {"poisson": (0.4, 0.35, 1.5)}), "positive definite"),
+    (lambda: am.PlaneStress.orthotropic(**WOOD | {"young": (1e9, 1e9)}), r"young must have shape \(3,\)"),
+    (lambda: am.Solid.orthotropic(**WOOD | {"shear": (1e9, 0.0, 1e9)}), r"shear\[1\] must be > 0"),
+    (lambda: am.Solid.orthotropic(**WOOD, axes=2 * np.eye(3)), "rows of axes must be orthonormal"),
+    (lambda: am.Axisymmetric.orthotropic(**WOOD, angle=np.nan), "angle must be finite"),
+    (lambda: am.Solid.anisotropic(SILICON + 1e9 * np.eye(6, k=1)), "stiffness must be symmetric"),
+    (lambda: am.Solid.anisotropic(-SILICON), "stiffness must be positive definite"),
+    (lambda: am.Solid.anisotropic(SILICON[:3, :3]), r"stiffness must have shape \(6, 6\)"),
+    (lambda: replace(am.Solid.anisotropic(SILICON), young=1e9), "follow from its stiffness"),
+    (lambda: am.InitialStrain.thermal((1e-5,), 1.0), "expansion must have 2 or 3 components"),
+    (lambda: am.InitialStrain.thermal(1e-5, "hot"), TypeError, "temperature must be a number"),
+    (lambda: supported_stiffness(MESHES[3], am.Solid.orthotropic(**WOOD, axes=lambda x: np.ones((len(x), 3, 3))), ()),
+     "rows of axes must be orthonormal"),
+    (lambda: replace(am.cases.greco_bar(), elements="smoothed", material=am.PlaneStrain.orthotropic(
+        **LIKE_STEEL, angle=lambda x: x[:, 0])), "must not vary in a body with smoothed elements"))
