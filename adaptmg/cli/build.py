@@ -21,6 +21,7 @@ from typing import Any
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg.cases import CASES, get
+from adaptmg.problem.contact_problem import ELEMENTS
 from adaptmg.problem.load_path import names_in_path
 from adaptmg.solver.record import Solver
 from adaptmg.solver.result import Result
@@ -190,19 +191,20 @@ def _by_level(name: str, table: Arguments) -> Arguments | list[Arguments]:
 
 
 def problem_of(given: Arguments) -> am.ContactProblem:
-    """Return the problem of a case with its arguments; friction or limit alone choose the law."""
-    name = given.pop("case")
+    """Return the problem of a case with its arguments and elements; friction or limit alone choose the law."""
+    name, elements = given.pop("case"), given.pop("elements", ELEMENTS[0])
     function = get(name).function
     if "law" not in given and "law" in _parameters(function) and {"friction", "limit"} & set(given):
         given["law"] = "coulomb" if "friction" in given else "tresca"
-    return _made(function, given, "case.", f"the case {name}")
+    return dataclasses.replace(_made(function, given, "case.", f"the case {name}"), elements=elements)
 
 
 @cache
 def sections() -> dict[str, dict[str, Key]]:
     """Return all sections with their keys; of the case those of all cases."""
     return {
-        "case": {"case": Key("name"), "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "that of the case"),
+        "case": {"case": Key("name"), "elements": Key(" | ".join(ELEMENTS), ELEMENTS[0]),
+                 "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "that of the case"),
                  **{key: value for kind in OBJECTS["law"] for key, value in keys_of(kind).items()}},
         "hierarchy": {**keys_of(am.Hierarchy.uniform), **keys_of(am.Hierarchy.graded)},
         "solver": {"method": Key(" | ".join(map(name_of, METHODS)), name_of(METHODS[0])),
@@ -213,7 +215,7 @@ def sections() -> dict[str, dict[str, Key]]:
 
 def case_keys(name: str) -> dict[str, Key]:
     """Return the keys of [case] for a case."""
-    return {"case": sections()["case"]["case"], **keys_of(get(name).function)}
+    return {key: sections()["case"][key] for key in ("case", "elements")} | keys_of(get(name).function)
 
 
 def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Value]:
