@@ -96,14 +96,14 @@ class Hierarchy:
 
     @classmethod
     def single(cls, discrete: DiscreteProblem) -> Hierarchy:
-        """One level, for methods that need no coarse grid."""
+        """Return a hierarchy of one level, for methods that need no coarse grid."""
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         return cls((Level(discrete),), origin="one level")
 
     @classmethod
     def uniform(cls, problem: ContactProblem, divisions: Sequence[Divisions | Mapping[str, Divisions]],
                 diagonal: str = "right") -> Hierarchy:
-        """Structured grids of a rectangle or box.
+        """Return structured grids of a rectangle or box.
 
         ValueError for what :func:`adaptmg.mesh.structured` refuses; levels that together have more than four times the
         nodes of the finest, and millions of them.
@@ -134,7 +134,7 @@ class Hierarchy:
                contact_ratio: float | Mapping[str, float] | None = None,
                transfer: Transfer | None = None, contact_rows: bool = True, mesher: str = "own",
                grading: float = 0.3) -> Hierarchy:
-        """Independent (non-nested) meshes, graded towards the contact boundaries, with self-similar size fields.
+        """Return independent (non-nested) meshes, graded towards the contact boundaries, with self-similar size fields.
 
         The size field of each level is that of the coarsest one times the ratio of their sizes, everywhere: sizes at
         contact, away from it and between fall alike, and so does the discretisation error.
@@ -177,7 +177,7 @@ class Hierarchy:
     @classmethod
     def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
                     contact_rows: bool = True) -> Hierarchy:
-        """From given meshes, coarse to fine.
+        """Return a hierarchy of given meshes, coarse to fine.
 
         Parameters
         ----------
@@ -200,7 +200,8 @@ class Hierarchy:
 
     @classmethod
     def from_prolongations(cls, discrete: DiscreteProblem, prolongations: Sequence[sparse.csr_array]) -> Hierarchy:
-        """From a user's matrix and coarse spaces, with Galerkin matrices; no contact problem on the coarse levels.
+        """Return a hierarchy of a user's matrix and coarse spaces, with Galerkin matrices; no contact problem on the
+        coarse levels.
 
         Parameters
         ----------
@@ -221,7 +222,7 @@ class Hierarchy:
 
     @classmethod
     def algebraic(cls, discrete: DiscreteProblem, max_coarse: int = 300) -> Hierarchy:
-        """Coarse spaces by smoothed aggregation (pyamg), for a bare matrix.
+        """Return coarse spaces by smoothed aggregation (pyamg), for a bare matrix.
 
         Parameters
         ----------
@@ -281,13 +282,13 @@ class Hierarchy:
         return all(level.discrete_or_none is not None for level in self.levels)
 
     def need_discretised(self, what: str) -> None:
-        """ValueError unless every level poses the contact problem."""
+        """Raise ValueError unless every level poses the contact problem."""
         if not self.discretised:
             raise ValueError(f"grids: {what} needs the contact problem on every level, but the coarse levels of this "
                              f"hierarchy ({self.origin}) are only spaces; use am.Multigrid(correction=am.Truncated())")
 
     def truncated(self, *, coarsest: int = 0, finest: int | None = None) -> Self:
-        """The levels ``coarsest`` .. ``finest`` (inclusive; default: the last) as a hierarchy of their own."""
+        """Return the levels ``coarsest`` .. ``finest`` (inclusive; default: the last) as a hierarchy of their own."""
         finest = len(self) - 1 if finest is None else checks.integer("finest", finest)
         if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
             raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
@@ -297,7 +298,8 @@ class Hierarchy:
 
     @one_blas_thread()
     def append(self, mesh: Any) -> Self:
-        """With one finer mesh (MeshArrays, ngsolve.Mesh or path); what is there is neither assembled nor located again.
+        """Return the hierarchy with one finer mesh (MeshArrays, ngsolve.Mesh or path); what is there is neither
+        assembled nor located again.
 
         It is the same as :meth:`from_meshes` makes of all meshes. The mesh need not be nested. ValueError if the levels
         are not made of meshes, or the mesh has no more nodes than the finest.
@@ -317,7 +319,7 @@ class Hierarchy:
 
     @one_blas_thread()
     def with_problem(self, problem: ContactProblem) -> Self:
-        """The same meshes with another law, friction, load, material or support.
+        """Return the same meshes with another law, friction, load, material or support.
 
         It is, bit for bit, what :meth:`from_meshes` makes of the same meshes. Of another law, or other loads, matrices
         and prolongations are shared with this hierarchy; for other material, supports or obstacles matrices are
@@ -358,7 +360,8 @@ class Hierarchy:
 
     @one_blas_thread()
     def without(self, level: int) -> Self:
-        """Without one of the levels but the finest; only the prolongation between its two neighbours is built.
+        """Return the hierarchy without one of the levels but the finest; only the prolongation between its two
+        neighbours is built.
 
         ``level`` 0 is the coarsest. ValueError for the finest, and if the levels are not made of meshes.
         """
@@ -392,7 +395,7 @@ class Hierarchy:
         return sum(level.matrix.nnz for level in self.levels) / self.finest.matrix.nnz
 
     def table(self, *, ratios: bool = True) -> list[dict[str, float]]:
-        """One dict a level: level, nodes, contact_nodes, nonzeros, mesh_ratio (to the next coarser level).
+        """Return one dict a level: level, nodes, contact_nodes, nonzeros, mesh_ratio (to the next coarser level).
 
         Mesh ratios take time the first time; ``ratios=False`` leaves those out (NaN) that nobody has asked for.
         """

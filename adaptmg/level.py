@@ -94,7 +94,7 @@ class Level:
     __repr__ = brief
 
     def posing(self, **parts: object) -> Level:
-        """The level with other parts (the data of a load step, a prolongation), which have been checked."""
+        """Return the level with other parts (the data of a load step, a prolongation), which have been checked."""
         result = copy.copy(self)
         for name, value in parts.items():
             object.__setattr__(result, name, value)
@@ -195,7 +195,7 @@ def _ratio_to(coarse: MeshArrays, level: Level) -> float:
 
 
 def the_transfer(transfer: Transfer | None) -> Transfer:
-    """A transfer, checked; interpolation for None."""
+    """Return a transfer, checked; interpolation for None."""
     from adaptmg.transfer import Interpolation
 
     transfer = Interpolation() if transfer is None else transfer
@@ -203,14 +203,15 @@ def the_transfer(transfer: Transfer | None) -> Transfer:
 
 
 def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
-    """The problem on a mesh."""
+    """Return the problem on a mesh."""
     from adaptmg.discrete.discretise import discretise
 
     return Level(discretise(problem, mesh), mesh)
 
 
 def reposed(levels: Sequence[Level], problem: ContactProblem, before: ContactProblem) -> list[Level]:
-    """The levels with another problem; their prolongations are those between levels with the contact that there was."""
+    """Return the levels with another problem; their prolongations are those between levels with the contact that there
+    was."""
     from adaptmg.discrete.discretise import changed_parts, rediscretise
 
     changed = changed_parts(problem, before)
@@ -230,7 +231,7 @@ def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
 
 
 def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -> Level:
-    """The level ``above`` with its prolongation from ``below``, whatever was below it before."""
+    """Return the level ``above`` with its prolongation from ``below``, whatever was below it before."""
     from adaptmg.transfer.contact_rows import between_levels
 
     found = between_levels(transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows)
@@ -240,7 +241,7 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
 
 
 def need_domain(problem: ContactProblem) -> None:
-    """ValueError unless the problem has a domain to mesh."""
+    """Raise ValueError unless the problem has a domain to mesh."""
     checks.instance("problem", problem, ContactProblem, "a ContactProblem")
     if problem.domain is None:
         raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes "
@@ -248,7 +249,7 @@ def need_domain(problem: ContactProblem) -> None:
 
 
 def meshed_domain(problem: ContactProblem) -> Domain:
-    """The domain of a problem, with a vertex where a point support or spring lies on a straight plane edge."""
+    """Return the domain of a problem, with a vertex where a point support or spring lies on a straight plane edge."""
     def cut(domain: Domain, body: str | None) -> Domain:
         for one in problem.supports:
             if isinstance(one, PointSupport | PointSpring) and body in (None, one.body or body) and domain.dim == 2:
@@ -263,7 +264,7 @@ def meshed_domain(problem: ContactProblem) -> Domain:
 
 
 def check_coarse_to_fine(meshes: Sequence[MeshArrays]) -> None:
-    """ValueError unless each mesh has more nodes than the one before."""
+    """Raise ValueError unless each mesh has more nodes than the one before."""
     sizes = [mesh.n_nodes for mesh in meshes]
     if any(a >= b for a, b in pairwise(sizes)):
         raise ValueError(f"meshes must go from coarse to fine; they have {sizes} nodes")

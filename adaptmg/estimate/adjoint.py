@@ -72,16 +72,16 @@ class LinearisedContact:
         return self.discrete.contact.nodes
 
     def local(self, vector: np.ndarray) -> np.ndarray:
-        """A Cartesian vector (n_dofs,) in local components at the contact nodes."""
+        """Return a Cartesian vector (n_dofs,) in local components at the contact nodes."""
         return rotate(vector, self.frames, self.nodes)
 
     def cartesian(self, vector: np.ndarray) -> np.ndarray:
-        """The inverse of :meth:`local`."""
+        """Return the inverse of :meth:`local`."""
         return rotate_back(vector, self.frames, self.nodes)
 
 
 def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedContact:
-    """The contact conditions of a result, linearised."""
+    """Return the contact conditions of a result, linearised."""
     nodal, frames = local_contact(discrete)
     dim, nodes = discrete.dim, discrete.contact.nodes
     unknowns = discrete.relative(result.displacement).reshape(-1)
@@ -137,7 +137,7 @@ class AdjointSystem:
     test: sparse.csr_array  # (n_dofs, n_dofs): T on them
 
     def direct(self, functionals: list[np.ndarray]) -> list[AdjointSolution]:
-        """Dual fields of functionals (n_dofs,), by one sparse factorisation."""
+        """Return dual fields of functionals (n_dofs,), by one sparse factorisation."""
         free, result = np.flatnonzero(self.trial), []
         try:
             factors = splu(sparse.csc_array(sparse.csr_array(self.matrix)[free][:, free]))
@@ -154,7 +154,7 @@ class AdjointSystem:
 
     def multigrid(self, hierarchy: Hierarchy, functionals: list[np.ndarray], rtol: float = RTOL,
                   max_iterations: int = MAX_ITERATIONS) -> list[AdjointSolution]:
-        """Dual fields of functionals (n_dofs,), by GMRES with a multigrid cycle."""
+        """Return dual fields of functionals (n_dofs,), by GMRES with a multigrid cycle."""
         cycle, n, finest = _cycle(hierarchy, self), len(self.trial), len(hierarchy) - 1
 
         def precondition(load: np.ndarray) -> np.ndarray:
@@ -193,7 +193,7 @@ class AdjointSystem:
 
 
 def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
-    """The adjoint system of linearised contact conditions."""
+    """Return the adjoint system of linearised contact conditions."""
     local, dim = local_system(contact.discrete), contact.discrete.dim
     matrix, n = sparse.csr_array(local.system.matrix), contact.discrete.n_dofs
     at = contact.nodes[:, None] * dim + np.arange(dim)

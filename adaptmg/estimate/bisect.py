@@ -43,7 +43,7 @@ _FINEST = 1e-9
 
 
 def divisible(mesh: MeshArrays) -> np.ndarray:
-    """Mask (n_elements,) of the elements that are so large that coordinates resolve smaller ones."""
+    """Return the mask (n_elements,) of the elements that are so large that coordinates resolve smaller ones."""
     return mesh.volumes > (_FINEST * np.abs(mesh.points).max()) ** mesh.dim
 
 

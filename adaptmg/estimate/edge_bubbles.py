@@ -66,23 +66,24 @@ class EdgeBubbles:
     element_edges: np.ndarray  # (n_elements, k) int: edges of each element, k = 3 or 6
 
     def of_facets(self, facets: np.ndarray) -> np.ndarray:
-        """Edges (n, 1) or (n, 3) of boundary facets (n, dim): in 3D the edge from corner k to the next one."""
+        """Return edges (n, 1) or (n, 3) of boundary facets (n, dim): in 3D the edge from corner k to the next one."""
         n, ends = self.mesh.n_nodes, np.sort(facets[:, _OF_FACET[self.mesh.dim]], axis=2).astype(np.int64)
         keys = self.edges[:, 0].astype(np.int64) * n + self.edges[:, 1]
         return np.searchsorted(keys, ends[..., 0] * n + ends[..., 1])
 
     def values_at(self, weights: np.ndarray) -> np.ndarray:
-        """Values (k,) of the bubbles of an element at a point with these barycentric weights (dim + 1,)."""
+        """Return values (k,) of the bubbles of an element at a point with these barycentric weights (dim + 1,)."""
         first, second = _LOCAL[self.mesh.dim].T
         return 4 * weights[first] * weights[second]
 
     def on_elements(self, values: np.ndarray) -> np.ndarray:
-        """Values (n_edges,) shared out evenly among the elements (n_elements,) of each edge."""
+        """Return values (n_edges,) shared out evenly among the elements (n_elements,) of each edge."""
         n_elements = np.bincount(self.element_edges.reshape(-1), minlength=len(self.edges))
         return (values / n_elements)[self.element_edges].sum(axis=1)
 
     def actions(self, fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """a(b_E e_i, b_E e_j) (n_edges, dim, dim), and a(field, b_E e_i) (n_fields, n_edges, dim) of P1 fields."""
+        """Return a(b_E e_i, b_E e_j) (n_edges, dim, dim), and a(field, b_E e_i) (n_fields, n_edges, dim) of P1
+        fields."""
         mesh, dim, (lame, shear) = self.mesh, self.mesh.dim, self._moduli
         blocks = np.zeros((*self.element_edges.shape, dim, dim))
         works = np.zeros((len(fields), *self.element_edges.shape, dim))
@@ -117,7 +118,7 @@ class EdgeBubbles:
         return blocks, actions
 
     def stiffness(self, values: np.ndarray) -> np.ndarray:
-        """a(sum of bubbles times values, b_E e_i) for values (n_edges, dim), (n_edges, dim)."""
+        """Return a(sum of bubbles times values, b_E e_i) for values (n_edges, dim), (n_edges, dim)."""
         local = values[self.element_edges]
         result = np.zeros(local.shape)
         for weight, _, _, gradients, hoop in self._points:
@@ -183,7 +184,7 @@ class EdgeBubbles:
         return np.stack(sums, axis=1).reshape(len(self.edges), *values.shape[2:])
 
     def boundary_work(self, surface: Surface, traction: np.ndarray) -> np.ndarray:
-        """Work (n_edges, m) on the bubbles of values (n, dim, m) at the corners of facets, linear in between."""
+        """Return work (n_edges, m) on the bubbles of values (n, dim, m) at the corners of facets, linear in between."""
         rule, _ = simplex_rule(self.mesh.dim - 1, _LOAD_POINTS)
         result = np.zeros((len(self.edges), traction.shape[2]))
         self._add(result, surface.facets, self.of_facets(surface.facets), np.einsum("qc,ncm->nqm", rule, traction),
@@ -191,7 +192,7 @@ class EdgeBubbles:
         return result
 
     def load(self) -> np.ndarray:
-        """Work (n_edges, dim) of all loads of the problem on the bubbles, N."""
+        """Return work (n_edges, dim) of all loads of the problem on the bubbles, N."""
         mesh, dim, loads = self.mesh, self.mesh.dim, self.problem.loads
         result = np.zeros((len(self.edges), dim))
         for load in loads:
@@ -237,7 +238,7 @@ class EdgeBubbles:
 
 
 def edge_bubbles(mesh: MeshArrays, problem: ContactProblem) -> EdgeBubbles:
-    """The bubbles on the edges of a mesh."""
+    """Return the bubbles on the edges of a mesh."""
     local, n = _LOCAL[mesh.dim], mesh.n_nodes
     pairs = np.sort(mesh.elements[:, local].reshape(-1, 2), axis=1).astype(np.int64)
     keys, numbers = np.unique(pairs[:, 0] * n + pairs[:, 1], return_inverse=True)
@@ -260,11 +261,11 @@ class BubbleSpaces:
 
 
 def bubble_spaces(bubbles: EdgeBubbles, contact: LinearisedContact) -> BubbleSpaces:
-    r"""The directions of all bubbles of a mesh, with supports, and contact linearised as at the nodes. On a contact
-    edge whose ends both touch an error has no part along the normal, and none at all where both stick; dual directions
-    of a slipping edge are :math:`t + \mu f n`. An edge with one open end counts as open, one with one slipping end as
-    slipping: of these the solution does not know where contact ends. The slip Hessian of 3D and friction that holds
-    open nodes (Tresca) are left out."""
+    r"""Return the directions of all bubbles of a mesh, with supports, and contact linearised as at the nodes. On a
+    contact edge whose ends both touch an error has no part along the normal, and none at all where both stick; dual
+    directions of a slipping edge are :math:`t + \mu f n`. An edge with one open end counts as open, one with one
+    slipping end as slipping: of these the solution does not know where contact ends. The slip Hessian of 3D and
+    friction that holds open nodes (Tresca) are left out."""
     mesh, dim, problem = bubbles.mesh, bubbles.mesh.dim, bubbles.problem
     trial = np.broadcast_to(np.eye(dim), (len(bubbles.edges), dim, dim)).copy()
     test = trial.copy()
@@ -323,7 +324,7 @@ class BubbleError:
 
 
 def bubble_error(bubbles: EdgeBubbles, spaces: BubbleSpaces, blocks: np.ndarray, residual: np.ndarray) -> BubbleError:
-    """The error of a discrete solution in the space of bubbles, from its residual (n_edges, dim)."""
+    """Return the error of a discrete solution in the space of bubbles, from its residual (n_edges, dim)."""
     trial, test, shape = spaces.trial, spaces.test, residual.shape
     small = np.einsum("nik,nij,njl->nkl", test, blocks, trial)
     small[spaces.missing[:, :, None] & np.eye(shape[1], dtype=bool)] = 1.0

@@ -131,17 +131,17 @@ class Indicator(Protocol[Found]):
     """What estimates the error: Residual, Recovery, Goal or a user-defined object."""
 
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Found:
-        """The estimate for the elements of the finest mesh."""
+        """Return the estimate for the elements of the finest mesh."""
 
 
 def estimate_of(indicator: Indicator, hierarchy: Hierarchy, result: Result) -> Estimate:
-    """The estimate of an indicator, of the elements of the finest mesh."""
+    """Return the estimate of an indicator, of the elements of the finest mesh."""
     return estimate_for(hierarchy.finest.mesh, indicator.indicate(hierarchy, result),
                         f"what the indicator {checks.shown(indicator)} returns")
 
 
 def estimate_for(mesh: MeshArrays, estimate: Estimate, name: str = "estimate") -> Estimate:
-    """An estimate, checked to be one of the elements of a mesh."""
+    """Return an estimate, checked to be one of the elements of a mesh."""
     checks.instance(name, estimate, Estimate, "an Estimate")
     if len(estimate.squares) != len(mesh.elements):
         raise ValueError(f"{name} is of {len(estimate.squares)} elements, but mesh has {len(mesh.elements)}")
@@ -152,11 +152,11 @@ class Mark(Protocol):
     """What chooses the elements to refine: Doerfler, Maximum or a user-defined object."""
 
     def mark(self, estimate: Estimate) -> np.ndarray:
-        """Mask (n_elements,) of the marked elements."""
+        """Return the mask (n_elements,) of the marked elements."""
 
 
 def marks_of(mark: Mark, estimate: Estimate) -> np.ndarray:
-    """The mask (n_elements,) that a marking chooses, checked."""
+    """Return the mask (n_elements,) that a marking chooses, checked."""
     mask = mark.mark(estimate)
     if not isinstance(mask, np.ndarray) or mask.dtype.kind != "b" or mask.shape != estimate.squares.shape:
         raise TypeError(f"mark: {checks.shown(mark)} must return a boolean mask over the {len(estimate.squares)} "

@@ -43,7 +43,7 @@ class GoalView:
     contact: LinearisedContact
 
     def load_of(self, nodal: np.ndarray) -> np.ndarray:
-        """A functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative coordinates."""
+        """Return a functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative coordinates."""
         return self.posed.discrete.relative_forces(np.asarray(nodal, dtype=np.float64).reshape(-1))
 
 
@@ -67,7 +67,8 @@ class Quantity(Protocol):
 
 
 def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
-    """What a quantity asks for; TypeError or ValueError, which name it, unless these are functionals of this view."""
+    """Return what a quantity asks for; TypeError or ValueError, which name it, unless these are functionals of this
+    view."""
     made, name = quantity.functionals(view), f"quantity {checks.shown(quantity)}: "
     if not isinstance(made, (list, tuple)) or not all(isinstance(one, Functional) for one in made):
         raise TypeError(f"{name}functionals(view) must return a list of Functional, got {checks.described(made)}")

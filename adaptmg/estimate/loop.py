@@ -109,7 +109,7 @@ class AdaptiveLoop:
         self.said: set[str] = set()  # kinds of warnings, each given once in the loop
 
     def steps(self) -> Iterator[Step]:
-        """The steps, those of the store first."""
+        """Yield the steps, those of the store first."""
         for number, stored in enumerate(() if self.store is None else self.store.steps()):
             self.clock.take()
             self._remember(self._restored(number, stored))
@@ -263,7 +263,7 @@ class AdaptiveLoop:
 
 
 def solved(hierarchy: Hierarchy, solver: Solver | None, start: np.ndarray | None) -> Result:
-    """The solution on the finest level."""
+    """Return the solution on the finest level."""
     if solver is None or not _applies(solver, hierarchy):
         method = FullMultigrid if start is None else Multigrid
         solver = None if len(hierarchy) == 1 else method(rtol=RTOL)
@@ -286,7 +286,8 @@ MOST_BETWEEN, GROWTH = 4, 1.2
 
 
 def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarchy:
-    """With a finer mesh, and meshes between it and the present finest where the size ratio asks for them."""
+    """Return the hierarchy with a finer mesh, and meshes between it and the present finest where the size ratio asks
+    for them."""
     between = getattr(engine, "intermediate", None)
     for _ in range(MOST_BETWEEN if callable(between) else 0):
         finest = hierarchy.finest.mesh
@@ -302,8 +303,8 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarch
 
 
 def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
-    """Without the levels next to the finest that are too close to their neighbours and not needed. A single one that is
-    too close to the ``last`` mesh stays: its cycles cost less than to do without it."""
+    """Return the hierarchy without the levels next to the finest that are too close to their neighbours and not needed.
+    A single one that is too close to the ``last`` mesh stays: its cycles cost less than to do without it."""
     if last and (len(hierarchy) < 3 or hierarchy[-2].n_nodes >= CLOSE * hierarchy[-3].n_nodes):
         return hierarchy
     for level in (len(hierarchy) - 2, len(hierarchy) - 3):
@@ -316,7 +317,7 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
 
 
 def carried(hierarchy: Hierarchy, below: int, displacement: np.ndarray) -> np.ndarray:
-    """A displacement of a level interpolated to the finest one, level by level."""
+    """Return a displacement of a level interpolated to the finest one, level by level."""
     values = hierarchy[below].discrete.relative(displacement)
     for level in hierarchy.levels[below + 1:]:
         values = level.prolongation @ values
@@ -324,7 +325,8 @@ def carried(hierarchy: Hierarchy, below: int, displacement: np.ndarray) -> np.nd
 
 
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
-    """The hierarchy with the problem of load step ``k`` on the finest level, slips counted from the step before."""
+    """Return the hierarchy with the problem of load step ``k`` on the finest level, slips counted from the step
+    before."""
     problem, finest = hierarchy.problem, hierarchy.finest
     factors = {name: float(values[k]) for name, values in path.resolved(problem).items()}
     loads, discrete = load_steps(problem, finest.mesh, finest.discrete), finest.discrete

@@ -40,7 +40,8 @@ LOOP_KINDS = (*KINDS, StoredStep, GoalEstimate, Estimate, PathResult, Refinement
 
 def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path: LoadPath | None = None,
                      depends: Mapping[str, object] | None = None) -> dict[str, object]:
-    """The fingerprint of a loop that begins with a hierarchy, with its options by name: indicator, mark, engine, ..."""
+    """Return the fingerprint of a loop that begins with a hierarchy, with its options by name: indicator, mark, engine,
+    ..."""
     loads = [load_steps(start.problem, level.mesh, level.discrete) for level in start.levels]
     factors = {} if load_path is None else load_path.resolved(start.problem)
     # the problem itself, since another law or gap may differ only between the nodes of the first mesh; references only
@@ -51,7 +52,7 @@ def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path:
 
 
 def restored(before: Hierarchy, meshes: Sequence[MeshArrays]) -> Hierarchy:
-    """The hierarchy of a stored step, which has these meshes, made of that of the step before."""
+    """Return the hierarchy of a stored step, which has these meshes, made of that of the step before."""
     stored = [_key(mesh) for mesh in meshes]
     there = [_key(level.mesh) for level in before.levels]
     for key, mesh in zip(stored, meshes, strict=True):

@@ -50,8 +50,8 @@ class Recovery:
 
 
 def recovered_energy(stress: ElementStress, cells: np.ndarray, nodal: np.ndarray) -> np.ndarray:
-    """Energies (n_elements,) of a recovered stress, linear between nodal values on cells, minus that of the elements,
-    N m."""
+    """Return energies (n_elements,) of a recovered stress, linear between nodal values on cells, minus that of the
+    elements, N m."""
     mesh, squares = stress.mesh, np.empty(len(cells))
     rule, weights = stress.rule(mesh.elements, mesh.volumes)
     rise = stress.rise(slice(None), mesh.elements, rule) if stress.axisymmetric else np.zeros((0, 0))

@@ -150,14 +150,14 @@ _MAX_STEPS = 60
 
 
 def simplex_sizes(mesh: MeshArrays) -> np.ndarray:
-    """Edge length (n_elements,), m, of the equilateral element with the same area or volume."""
+    """Return the edge length (n_elements,), m, of the equilateral element with the same area or volume."""
     if mesh.dim == 2:
         return np.sqrt(mesh.volumes * (4 / math.sqrt(3)))
     return np.cbrt(mesh.volumes * (6 * math.sqrt(2)))
 
 
 def nodal_sizes(mesh: MeshArrays, sizes: np.ndarray) -> np.ndarray:
-    """Geometric mean (n_nodes,) of the sizes (n_elements,) of the elements at each node."""
+    """Return the geometric mean (n_nodes,) of the sizes (n_elements,) of the elements at each node."""
     flat = mesh.elements.ravel()
     total = np.bincount(flat, np.repeat(np.log(sizes), mesh.elements.shape[1]), mesh.n_nodes)
     return np.exp(total / np.bincount(flat, minlength=mesh.n_nodes))
@@ -190,7 +190,7 @@ class NodeCount:
 
 def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, *, finest: float = 0.25,
                        coarsest: float = 1.5, growth: float = 0.3) -> np.ndarray:
-    """Sizes at the nodes of a mesh, for a new mesh of about ``n_nodes`` nodes."""
+    """Return sizes at the nodes of a mesh, for a new mesh of about ``n_nodes`` nodes."""
     largest = squares.max()
     share = np.maximum(squares / largest, _TINY) if largest > 0 else np.ones(len(squares))
     factors = share ** (-1 / (2 + mesh.dim))
@@ -224,7 +224,7 @@ def _constant(excess: Callable[[float], float], low: float, high: float, dim: in
 
 def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float,
                  at_nodes: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
-    """The largest sizes below these that grow by at most ``growth`` per distance along edges."""
+    """Return the largest sizes below these that grow by at most ``growth`` per distance along edges."""
     result, waiting = np.array(sizes, dtype=np.float64), np.ones(len(sizes), dtype=np.bool_)
     start, items = elements_of_nodes(mesh.elements, mesh.n_nodes) if at_nodes is None else at_nodes
     _relax(mesh.points, mesh.elements, start, items, float(growth), result, np.argsort(result), waiting)
@@ -283,7 +283,7 @@ class SizeField:
     sizes: np.ndarray  # (n_nodes,): edge lengths at its nodes, m, > 0
 
     def function(self, body: str) -> Callable[[np.ndarray], np.ndarray]:
-        """Sizes (n,), m, at points (n, dim) of a body."""
+        """Return sizes (n,), m, at points (n, dim) of a body."""
         mesh = self.mesh
         own = np.flatnonzero(mesh.element_body == mesh.bodies.index(body))
         locator = SimplexLocator(mesh.points, mesh.elements, own)
@@ -296,7 +296,7 @@ class SizeField:
 
 
 def mean_sizes(coarse: MeshArrays, fine: MeshArrays, growth: float) -> SizeField:
-    """The geometric mean of the sizes of two meshes."""
+    """Return the geometric mean of the sizes of two meshes."""
     of_coarse = SizeField(coarse, nodal_sizes(coarse, simplex_sizes(coarse)))
     sizes = nodal_sizes(fine, simplex_sizes(fine))
     for index, body in enumerate(fine.bodies):

@@ -75,7 +75,7 @@ class Residual:
 
 
 def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
-    """Squares (n_elements,) on boundaries without and on those with contact, N m."""
+    """Return squares (n_elements,) on boundaries without and on those with contact, N m."""
     mesh, stress, near = this.mesh, this.stress, this.neighbours
     touching = contact_tractions(mesh, this.result.contact, stress.axisymmetric)
     plain, contact = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
@@ -114,10 +114,10 @@ _STILL = 1e-12
 
 
 def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
-    """Squares (n_elements,) from complementarity and from friction, N m. At the nodes the conditions are taken as met:
-    no pressure where a node is OPEN, no gap elsewhere, friction at its limit against the slip where there is one. What
-    a solver leaves of them is algebraic error; multiplied by a gap, or by a slip, far larger than the deformation it
-    would exceed all that the mesh has left."""
+    """Return squares (n_elements,) from complementarity and from friction, N m. At the nodes the conditions are taken
+    as met: no pressure where a node is OPEN, no gap elsewhere, friction at its limit against the slip where there is
+    one. What a solver leaves of them is algebraic error; multiplied by a gap, or by a slip, far larger than the
+    deformation it would exceed all that the mesh has left."""
     mesh, contact, near = this.mesh, this.result.contact, this.neighbours
     complementarity, friction = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
     opens = contact.state == State.OPEN
@@ -215,7 +215,7 @@ _GAUSS = 0.5 - 0.5 / math.sqrt(3.0)
 
 
 def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -> np.ndarray:
-    """Squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus."""
+    """Return squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus."""
     mesh, squares = stress.mesh, np.zeros(len(across))
     _jumps(mesh.points, mesh.elements, across, OPPOSITE[mesh.dim], stress.columns, stress.values, 0.5 / young,
            np.ascontiguousarray(stress.displacement[:, 0]), stress.hoop,
@@ -224,7 +224,7 @@ def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -
 
 
 def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarray) -> np.ndarray | None:
-    """Squares (n_elements,), N m; None where there is neither a body force nor axisymmetry."""
+    """Return squares (n_elements,), N m; None where there is neither a body force nor axisymmetry."""
     forces = [load for load in loads if isinstance(load, BodyForce)]
     if not forces and not stress.axisymmetric:
         return None

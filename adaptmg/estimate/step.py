@@ -132,7 +132,7 @@ class Step(Generic[Found]):
 
 
 def expected_seconds(steps: Sequence[Step], limits: Limits) -> float:
-    """Seconds that the whole loop will have taken when the first limit stops it; NaN if nothing is expected."""
+    """Return the seconds that the whole loop will have taken when a limit stops it; NaN if nothing is expected."""
     last, ends = steps[-1], []
     if limits.max_nodes is not None:
         ends.append(last.total_seconds * max(limits.max_nodes / last.nodes, 1.0))
@@ -145,7 +145,7 @@ def expected_seconds(steps: Sequence[Step], limits: Limits) -> float:
 
 
 def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
-    """:attr:`Step.settled` of an estimate, given that of the mesh before."""
+    """Return :attr:`Step.settled` of an estimate, given that of the mesh before."""
     if estimate.signed is None:
         return None
     if before is None or before.signed is None:
@@ -164,12 +164,12 @@ class Engine(Protocol):
 
     def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: np.ndarray,
                max_nodes: int | None = None) -> MeshArrays | None:
-        """The next mesh; the same one or None where there is no finer one."""
+        """Return the next mesh; the same one or None where there is no finer one."""
 
 
 def sound_mesh(engine: Engine, method: str, problem: ContactProblem, made: object, like: MeshArrays | None = None
                ) -> MeshArrays:
-    """A mesh that an engine has made: sound, with the problem's boundaries and the bodies of another mesh."""
+    """Return a mesh that an engine has made: sound, with the problem's boundaries and the bodies of another mesh."""
     name = f"engine {checks.shown(engine)}: what {method} returns"
     made = checks.instance(name, made, MeshArrays, "MeshArrays")
     try:

@@ -82,7 +82,7 @@ class ElementStress:
 
     def tractions(self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
                   ) -> np.ndarray:
-        """Sigma n (n, n_points, dim) at points of facets."""
+        """Return sigma n (n, n_points, dim) at points of facets."""
         plain = np.einsum("nij,nj->ni", self.values[elements][:, self.columns], normals)
         result = np.repeat(plain[:, None, :], len(rule), axis=1)
         if self.axisymmetric:
@@ -96,16 +96,16 @@ class ElementStress:
         return hoop_strain(self.mesh, self.displacement) if self.axisymmetric else np.empty(0)
 
     def rule(self, cells: np.ndarray, measures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Barycentric points (n_points, k) in cells (n, k), and their weights (n, n_points): in axisymmetry 2 pi r too.
-        On facets they are exact for products of two linear functions and the weight, on elements for more."""
+        """Return barycentric points (n_points, k) in cells (n, k), and their weights (n, n_points): in axisymmetry 2 pi
+        r too. On facets they are exact for products of two linear functions and the weight, on elements for more."""
         inside = self.axisymmetric and cells.shape[1] > self.mesh.dim
         rule, weights = quadrature_rule(cells.shape[1], AXISYMMETRIC_DEGREE if inside else PLAIN_DEGREE)
         result = measures[:, None] * weights
         return rule, result * (2 * np.pi * (self.mesh.points[cells, 0] @ rule.T)) if self.axisymmetric else result
 
     def rise(self, elements: np.ndarray | slice, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
-        """Hoop strain (n, n_points) at points of cells (n, k) less that at the centroids of their elements; 0 where
-        elements are smoothed."""
+        """Return the hoop strain (n, n_points) at points of cells (n, k) less that at the centroids of their elements;
+        0 where elements are smoothed."""
         if self.data.smoothed:
             return np.zeros((len(cells), len(rule)))
         radius, moved = self.mesh.points[cells, 0] @ rule.T, self.displacement[cells, 0] @ rule.T
@@ -113,7 +113,7 @@ class ElementStress:
 
 
 def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData) -> ElementStress:
-    """The stress of a displacement (n_nodes, dim), m."""
+    """Return the stress of a displacement (n_nodes, dim), m."""
     rows, columns = _ROUND if data.axisymmetric else _PLAIN[mesh.dim]
     return ElementStress(mesh, displacement, data, data.tensors(mesh, displacement)[:, rows, columns])
 
@@ -128,7 +128,7 @@ class Neighbours:
 
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
-    """Neighbours in a mesh: two facets of elements with the same nodes follow each other when sorted."""
+    """Return neighbours in a mesh: two facets of elements with the same nodes follow each other when sorted."""
     k, n = mesh.dim + 1, mesh.n_nodes
     keys, own = facet_keys(element_facets(mesh.elements).reshape(-1, mesh.dim), n), facet_keys(mesh.facets, n)
     order = np.argsort(keys)
@@ -191,7 +191,8 @@ class Posed:
         return unknowns, self.discrete.matrix @ unknowns
 
     def check_loads(self) -> None:
-        """ValueError unless the loads of the problem are those of the result, b = A u - reactions - contact forces."""
+        """Raise ValueError unless the loads of the problem are those of the result, b = A u - reactions - contact
+        forces."""
         unknowns, forces = self._moved
         exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
         if exerted.shape != forces.shape:
@@ -209,7 +210,7 @@ class Posed:
 
 
 def posed(hierarchy: Hierarchy, result: Result) -> Posed:
-    """A result on the finest mesh of a hierarchy, checked to belong to it."""
+    """Return a result on the finest mesh of a hierarchy, checked to belong to it."""
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
     checks.instance("result", result, Result, "a Result")
     if hierarchy.problem is None or hierarchy.finest.mesh_or_none is None:
@@ -248,7 +249,7 @@ class SurfaceTraction:
 
 
 def contact_tractions(mesh: MeshArrays, contact: ContactResult, axisymmetric: bool) -> Mapping[str, SurfaceTraction]:
-    """Contact tractions on all boundaries that may touch something, masters too, by name."""
+    """Return contact tractions on all boundaries that may touch something, masters too, by name."""
     on_slave = contact.on_slaves(mesh)
     return {name: _on_surface(mesh, contact, name, on_slave, axisymmetric)
             for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])}

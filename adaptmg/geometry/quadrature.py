@@ -42,26 +42,27 @@ _RULES = {
 
 
 def quadrature_rule(corners: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """A rule exact for polynomials up to a degree."""
+    """Return a rule exact for polynomials up to a degree."""
     return _RULES[corners, degree]
 
 
 def quadrature_points(points: np.ndarray, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
-    """Positions (n_cells, n, dim) of the ``rule``'s barycentric points (n, corners) in ``cells`` (n_cells, corners)."""
+    """Return positions (n_cells, n, dim) of the ``rule``'s barycentric points (n, corners) in ``cells`` (n_cells,
+    corners)."""
     return np.einsum("qk,ckd->cqd", rule, points[cells])
 
 
 def integration(points: np.ndarray, cells: np.ndarray, measures: np.ndarray, axisymmetric: bool
                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Barycentric points, their positions in cells of these measures, and weights (n_cells, n); in axisymmetry times
-    2 pi r."""
+    """Return barycentric points, their positions in cells of these measures, and weights (n_cells, n); in axisymmetry
+    times 2 pi r."""
     rule, weights = quadrature_rule(cells.shape[1], AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE)
     at, weights = quadrature_points(points, cells, rule), measures[:, None] * weights
     return rule, at, weights * (2 * np.pi * at[:, :, 0]) if axisymmetric else weights
 
 
 def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1."""
+    """Return the conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1."""
     from scipy.special import roots_jacobi  # a first solve without it starts sooner
 
     shape, weights = np.ones((1, 1)), np.ones(1)

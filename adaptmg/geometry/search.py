@@ -232,7 +232,7 @@ class BoxTree:
         self.points = padded(points)
 
     def nearest(self, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The nearest simplex of each point."""
+        """Return the nearest simplex of each point."""
         n = len(queries)
         found = np.empty(n, dtype=np.int64)
         weights, distance = np.empty((n, self.simplices.shape[1])), np.empty(n)
@@ -241,7 +241,7 @@ class BoxTree:
 
     def meeting(self, frames: np.ndarray, origins: np.ndarray, low: np.ndarray, high: np.ndarray
                 ) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs (turned box, simplex that meets it); see :func:`meet_turned`."""
+        """Return pairs (turned box, simplex that meets it); see :func:`meet_turned`."""
         start = np.zeros(len(frames) + 1, dtype=np.int64)
         arguments = (frames, origins, low, high, self.boxes, self.points, self.simplices, start)
         meet_turned(*arguments, False, np.empty(0, dtype=np.int64))
@@ -252,7 +252,7 @@ class BoxTree:
 
 
 def padded(points: np.ndarray) -> np.ndarray:
-    """Points (n, dim) as (n, 3), z = 0 in 2D."""
+    """Return points (n, dim) as (n, 3), z = 0 in 2D."""
     result = np.zeros((len(points), 3))
     result[:, :points.shape[1]] = points
     return result
@@ -266,7 +266,7 @@ _SPREAD = {2: ((16, 0x0000FFFF0000FFFF), (8, 0x00FF00FF00FF00FF), (4, 0x0F0F0F0F
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:
-    """Order of points (n, dim), dim 2 or 3, along the Z-curve of their own bounding box."""
+    """Return the order of points (n, dim), dim 2 or 3, along the Z-curve of their own bounding box."""
     dim = points.shape[1]
     if not len(points):
         return np.empty(0, dtype=np.int64)

@@ -38,7 +38,7 @@ class Design:
         raise NotImplementedError
 
     def points(self) -> Iterator[Point]:
-        """The points, in order."""
+        """Yield the points, in order."""
         raise NotImplementedError
 
     def __repr__(self) -> str:
@@ -123,7 +123,7 @@ class Grid(Design):
         return math.prod(len(values) for values in self.values.values())
 
     def points(self) -> Iterator[Point]:
-        """The points, in order."""
+        """Yield the points, in order."""
         for values in itertools.product(*self.values.values()):
             yield dict(zip(self.names, values, strict=True))
 
@@ -166,7 +166,7 @@ class Points(Design):
         return len(self._points)
 
     def points(self) -> Iterator[Point]:
-        """The points, in order."""
+        """Yield the points, in order."""
         return iter(self._points)
 
 
@@ -326,7 +326,7 @@ class Repeated(Design):
         return len(self._design) * self._times
 
     def points(self) -> Iterator[Point]:
-        """The points, in order."""
+        """Yield the points, in order."""
         for point in self._design.points():
             for seed in range(self._first, self._first + self._times):
                 yield {**point, self._name: seed}

@@ -128,7 +128,7 @@ class Study:
         return self.design.names
 
     def points(self) -> list[Point]:
-        """The parameters of every run, the fixed ones too, in the order of the design."""
+        """Return the parameters of every run, the fixed ones too, in the order of the design."""
         return [{**self.fixed, **point} for point in self.design.points()]
 
     def run(self, progress: Progress = None, *, workers: int | None = None,

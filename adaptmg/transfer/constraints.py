@@ -43,13 +43,13 @@ class Supports:
     main: np.ndarray
 
     def injected(self, values: np.ndarray, empty: float) -> np.ndarray:
-        """Fine values (n_fine, ...) at ``main``, ``empty`` where S_k is."""
+        """Return fine values (n_fine, ...) at ``main``, ``empty`` where S_k is."""
         result = self._over_fine(values)[np.maximum(self.main, 0)]
         result[self.main < 0] = empty
         return result
 
     def reduced(self, ufunc: np.ufunc, values: np.ndarray, empty: float) -> np.ndarray:
-        """Fine values (n_fine, ...) reduced over each S_k, ``empty`` where it is."""
+        """Return fine values (n_fine, ...) reduced over each S_k, ``empty`` where it is."""
         values, filled = self._over_fine(values), self.main >= 0
         result = np.full((len(self.main), *values.shape[1:]), empty, dtype=values.dtype)
         if filled.any():
@@ -63,7 +63,8 @@ class Supports:
 
 
 def supports(P_cc: sparse.csr_array) -> Supports:
-    """The sets S_k of P_cc (n_fine_contact, n_coarse_contact); ValueError if an entry is negative or not finite."""
+    """Return the sets S_k of P_cc (n_fine_contact, n_coarse_contact); ValueError if an entry is negative or not
+    finite."""
     columns = sparse.csc_array(P_cc, dtype=np.float64, copy=True)
     columns.sum_duplicates()
     if not (np.isfinite(columns.data) & (columns.data >= 0)).all():
@@ -81,7 +82,8 @@ def supports(P_cc: sparse.csr_array) -> Supports:
 
 
 def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
-    """Safe bounds D_k (n_coarse_contact,) of the normal correction from the opening g0 - u_n (n_fine_contact,), m.
+    """Return safe bounds D_k (n_coarse_contact,) of the normal correction from the opening g0 - u_n (n_fine_contact,),
+    m.
 
     +inf where S_k is empty.
     """
@@ -89,12 +91,13 @@ def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
 
 
 def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
-    """The paper's bound read literally ('smallest u_n'): max over S_k; as :func:`smallest_gap`. Stalls or cycles."""
+    """Return the paper's bound read literally ('smallest u_n'): max over S_k; as :func:`smallest_gap`. Stalls or
+    cycles."""
     return sets.reduced(np.maximum, opening, np.inf)
 
 
 def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
-    """Opening of the fine node with the largest weight in S_k; as :func:`smallest_gap`. No guarantee."""
+    """Return the opening of the fine node with the largest weight in S_k; as :func:`smallest_gap`. No guarantee."""
     return sets.injected(opening, np.inf)
 
 
@@ -103,7 +106,7 @@ _PARALLEL = 1e-6
 
 
 def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = None) -> np.ndarray:
-    """Safe reference slips U_k (n_coarse_contact, dim - 1) of the tangential correction, m.
+    """Return safe reference slips U_k (n_coarse_contact, dim - 1) of the tangential correction, m.
 
     0 unless all slips u_t - u_t^previous (n_fine_contact, dim - 1) in S_k have one sign (3D: one direction) and none is
     zero or in ``stick`` (n_fine_contact,), else the shortest; 0 where S_k is empty. In 3D slips within 1e-6 rad of the
@@ -130,12 +133,12 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
 
 
 def injected_slip(sets: Supports, slip: np.ndarray) -> np.ndarray:
-    """Slip of the fine node with the largest weight in S_k; shapes as :func:`minmod_slip`. No guarantee."""
+    """Return the slip of the fine node with the largest weight in S_k; shapes as :func:`minmod_slip`. No guarantee."""
     return sets.injected(slip, 0.0)
 
 
 def summed_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
-    """Nodal friction limits g (n_fine_contact,) summed with the transpose, G = P'g (n_coarse_contact,), N; dual.
+    """Return nodal friction limits g (n_fine_contact,) summed with the transpose, G = P'g (n_coarse_contact,), N; dual.
 
     The total is that of g where the rows sum to 1.
     """
@@ -144,7 +147,7 @@ def summed_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
 
 
 def injected_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
-    """Nodal limit of the fine node with the largest weight in S_k, N; 0 where S_k is empty.
+    """Return the nodal limit of the fine node with the largest weight in S_k, N; 0 where S_k is empty.
 
     As :func:`summed_limit`, but what one fine node bears is less than the force on a coarse one. No guarantee.
     """

@@ -53,7 +53,7 @@ def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_
 
 
 def with_contact_rows(P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.csr_array) -> sparse.csr_array:
-    """A nodal prolongation (n_fine, n_coarse) with other rows (n, n_coarse) for distinct fine nodes (n,)."""
+    """Return a nodal prolongation (n_fine, n_coarse) with other rows (n, n_coarse) for distinct fine nodes (n,)."""
     nodes = check_arrays.array("fine_nodes", fine_nodes, (None,), integer=True)
     if rows.shape != (len(nodes), P.shape[1]) or len(np.unique(nodes)) < len(nodes):
         raise ValueError(f"rows must have shape ({len(nodes)}, {P.shape[1]}), one for each of distinct fine_nodes, got "
@@ -73,7 +73,7 @@ class LevelTransfer:
 
 def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coarse_problem: DiscreteProblem,
                    fine_problem: DiscreteProblem, contact_rows: bool = True) -> LevelTransfer:
-    """Prolongations between the discretisations of one problem on two meshes."""
+    """Return prolongations between the discretisations of one problem on two meshes."""
     nodal = _built(transfer, coarse, fine)
     contact, coupling = fine_problem.contact, fine_problem.coupling
     if coupling is not None:

@@ -87,7 +87,7 @@ def _sort_rows(first, last, dim, indptr, indices, data, longest, new_indices, ne
 
 
 def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
-    """P'AP (n_dofs coarse, n_dofs coarse) of a matrix of square blocks, with P = nodal on every component.
+    """Return P'AP (n_dofs coarse, n_dofs coarse) of a matrix of square blocks, with P = nodal on every component.
 
     Sorted columns; every coarse node has a diagonal block, that of a node which nothing reaches is the mean of the
     others' diagonals.
@@ -114,9 +114,9 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
 
 
 def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_array:
-    """A prolongation without what it gives to nodes of which the next finer level takes nothing. The diagonal that
-    :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next) is not stiffness: in the
-    next product it would hold the coarser functions at zero there."""
+    """Return a prolongation without what it gives to nodes of which the next finer level takes nothing. The diagonal
+    that :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next) is not stiffness: in
+    the next product it would hold the coarser functions at zero there."""
     if finer is None:
         return nodal
     idle = np.bincount(finer.indices, weights=np.abs(finer.data), minlength=finer.shape[1]) == 0
@@ -199,7 +199,8 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
 
 
 def without_fixed(matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = True) -> sparse.bsr_array:
-    """The matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal; the pattern stays."""
+    """Return the matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal; the pattern
+    stays."""
     dim = matrix.blocksize[0]
     if copy:
         matrix = sparse.bsr_array((matrix.data.copy(), matrix.indices, matrix.indptr), shape=matrix.shape)
@@ -216,7 +217,7 @@ def without_fixed(matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = T
 
 def aggregated_prolongations(matrix: sparse.bsr_array, near_nullspace: np.ndarray | None, fixed: np.ndarray,
                              max_coarse: int) -> list[sparse.csr_array]:
-    """Prolongations of dofs by smoothed aggregation (Vanek, Mandel, Brezina 1996, doi:10.1007/BF02238511).
+    """Return prolongations of dofs by smoothed aggregation (Vanek, Mandel, Brezina 1996, doi:10.1007/BF02238511).
 
     Coarse to fine, (n_dofs, n_dofs coarse) each, none if the matrix is small. Without modes the translations are taken;
     ``max_coarse`` bounds the nodes of the coarsest level.

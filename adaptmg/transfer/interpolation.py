@@ -36,7 +36,8 @@ class Transfer(Protocol):
     """Anything with this method can be given as ``transfer=``."""
 
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
-        """Nodal prolongation (n_fine, n_coarse); rows should sum to 1, or rigid translations are not reproduced."""
+        """Return the nodal prolongation (n_fine, n_coarse); rows should sum to 1, or rigid translations are not
+        reproduced."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +57,7 @@ class Interpolation:
     """
 
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
-        """Nodal prolongation (n_fine, n_coarse), at most dim + 1 entries a row.
+        """Return the nodal prolongation (n_fine, n_coarse), at most dim + 1 entries a row.
 
         ValueError if a fine node lies outside by more than a quarter of an element, or bodies or dimensions differ.
         """
@@ -84,7 +85,8 @@ class PointLocator(SimplexLocator):
 
 
 def nodes_of_bodies(mesh: MeshArrays, name: str = "fine") -> np.ndarray:
-    """Body of each node (n_nodes,), the first where bodies share one; ValueError if a node belongs to no element."""
+    """Return the body of each node (n_nodes,), the first where bodies share one; ValueError if a node belongs to no
+    element."""
     body = np.full(mesh.n_nodes, -1, dtype=np.int64)
     corners = mesh.elements.shape[1]
     body[mesh.elements.ravel()[::-1]] = np.repeat(mesh.element_body, corners)[::-1]
@@ -101,7 +103,7 @@ def _check_meshes(coarse: MeshArrays, fine: MeshArrays) -> None:
 
 
 def body_locators(coarse: MeshArrays, fine: MeshArrays) -> list[tuple[int | None, PointLocator]]:
-    """Pairs of a body of ``fine`` (None: all of it) and the locator in the coarse mesh of the same body."""
+    """Return pairs of a body of ``fine`` (None: all of it) and the locator in the coarse mesh of the same body."""
     _check_meshes(coarse, fine)
     if len(fine.bodies) == len(coarse.bodies) == 1:
         return [(None, PointLocator(coarse))]
@@ -142,7 +144,8 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
 
 
 def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
-    """What :class:`Interpolation` builds between structured meshes of the same bodies, to rounding; None for others."""
+    """Return what :class:`Interpolation` builds between structured meshes of the same bodies, to rounding; None for
+    others."""
     _check_meshes(coarse, fine)
     alike = [(a.lower, a.upper) == (b.lower, b.upper) for a, b in zip(coarse.lattices, fine.lattices, strict=False)]
     if coarse.bodies != fine.bodies or len(alike) < len(fine.bodies) or not all(alike):
@@ -211,7 +214,7 @@ _REACHED = 1e-10
 
 
 def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -> sparse.csr_array:
-    """Sparse rows from a fixed number of weights each: sorted, without those below ``CLIP``, with sums 1."""
+    """Return sparse rows from a fixed number of weights each: sorted, without those below ``CLIP``, with sums 1."""
     order = np.argsort(columns, axis=1)
     weights = np.where(weights < CLIP, 0.0, weights)
     weights = weights / weights.sum(axis=1, keepdims=True)
@@ -222,7 +225,7 @@ def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -
 
 
 def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
-    """A copy without entries whose magnitude is below ``tolerance``."""
+    """Return a copy without entries whose magnitude is below ``tolerance``."""
     kept = np.abs(matrix.data) >= tolerance
     before = np.concatenate([[0], np.cumsum(kept, dtype=matrix.indptr.dtype)])
     indptr = before[matrix.indptr].astype(matrix.indptr.dtype)
@@ -280,7 +283,7 @@ def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays
 
 def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, *, tolerance: float = CLIP,
                  moments: np.ndarray | None = None) -> tuple[sparse.csr_array, np.ndarray]:
-    """Drop small entries, and restore row sums 1 and first moments."""
+    """Return drop small entries, and restore row sums 1 and first moments."""
     if moments is None:
         centre = coarse.points.mean(axis=0)             # far from the origin the differences would lose digits
         moments = matrix @ np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])
@@ -310,7 +313,7 @@ def _size_ratios(coarse: MeshArrays, fine: MeshArrays, step: int) -> np.ndarray:
 
 
 def mesh_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
-    """Largest local ratio h_coarse / h_fine; two-level rates suffer above about 3.
+    """Return the largest local ratio h_coarse / h_fine; two-level rates suffer above about 3.
 
     For each fine element: the longest edge of the coarse element that holds its centroid, over its own longest edge.
     """
@@ -318,7 +321,8 @@ def mesh_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
 
 
 def size_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
-    """The 99 % quantile of what :func:`mesh_ratio` is the largest of, of large meshes over a sample of the elements.
+    """Return the 99 % quantile of what :func:`mesh_ratio` is the largest of, of large meshes over a sample of the
+    elements.
 
     Levels of an adaptive hierarchy are kept by it: at most about 4.
     """

@@ -172,7 +172,7 @@ class L2(_Projection):
 
 
 def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
-    """P1 mass matrix (n_nodes, n_nodes), m^2 or m^3."""
+    """Return the P1 mass matrix (n_nodes, n_nodes), m^2 or m^3."""
     k = mesh.elements.shape[1]
     blocks = (np.eye(k) + 1.0) * (mesh.volumes / (k * (k + 1)))[:, None, None]
     rows, columns = np.repeat(mesh.elements, k, axis=1).ravel(), np.tile(mesh.elements, (1, k)).ravel()
@@ -235,7 +235,7 @@ class MixedMass:
         return narrowed(result)
 
     def shape_coefficients(self) -> np.ndarray:
-        """Coefficients that test with the shape function of the node: a_iek = 1 at the corner i of e, else 0."""
+        """Return coefficients that test with the shape function of the node: a_iek = 1 at the corner i of e, else 0."""
         return np.eye(self.fine.dim + 1)[self.patches[2]]
 
     @cached_property
