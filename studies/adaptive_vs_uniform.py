@@ -1,9 +1,10 @@
-"""From which accuracy on do adaptive meshes pay, everything counted?
+"""From which accuracy on do adaptive meshes pay against uniform and graded ones, everything counted?
 
     python studies/adaptive_vs_uniform.py [--quick | --full] [--out DIR]
 
-Uniform meshes and those of the adaptive loop am.adapt (residual indicator; remeshed by sizes, the default, or
-bisected). The loop solves to 1e-6, far below the error of its meshes; uniform meshes have hierarchies of their own and
+Uniform meshes, those of am.Hierarchy.graded (finer towards contact by a given ratio, 4, in space 2), and those of the
+adaptive loop am.adapt (residual indicator; remeshed by sizes, the default, or bisected). The loop solves to 1e-6, far
+below the error of its meshes; uniform and graded meshes have hierarchies of their own, halved from level to level, and
 are solved from a nested start to a tenth of the discretisation error. Seconds are processor time with warm kernels for
 everything: meshes (Netgen's process, too), matrices, transfers, solves, estimates; of an adaptive mesh those of all
 steps before it too. Loops begin with the default mesh. Energy errors are against a solution on a bisected mesh with
@@ -34,6 +35,7 @@ CASES = {
     "GRECO block 3D": (am.cases.greco_block, 2),
 }
 ENGINES = {"remeshed": am.Remesh(), "bisected": am.Bisect()}
+FAMILIES = ("graded", *ENGINES)
 
 
 def uniform_meshes(problem: am.ContactProblem, coarse: float, refinements: int) -> list[am.MeshArrays]:
@@ -52,20 +54,25 @@ def solutions(case: str, family: str, most: int):
     make, coarse = CASES[case]
     problem, spent = make(), 0.0
     begin = processor_time()
-    if family != "uniform":
+    if family in ENGINES:
         for step in am.adapt(problem, engine=ENGINES[family], max_nodes=most):
             spent += processor_time() - begin
             yield step.hierarchy, step.result, spent
             begin = processor_time()        # measuring errors is not part of the loop
         return
+    size = coarse if isinstance(coarse, float) else float(max(problem.domain.upper - problem.domain.lower)) / coarse
     for refinements in range(1, 20):
         begin = processor_time()
-        meshes = uniform_meshes(problem, coarse, refinements)
-        if len(meshes) < 2:
-            continue
-        if meshes[-1].n_nodes > most:
+        if family == "graded":
+            sizes = [size / 2**k for k in range(refinements + 1)]
+            grids = am.Hierarchy.graded(problem, sizes, 4 if problem.dim == 2 else 2)
+        else:
+            meshes = uniform_meshes(problem, coarse, refinements)
+            if len(meshes) < 2:
+                continue
+            grids = am.Hierarchy.from_meshes(problem, meshes)
+        if grids.finest.n_nodes > most:
             return
-        grids = am.Hierarchy.from_meshes(problem, meshes)
         result = am.solve(grids, am.FullMultigrid(rtol="discretisation"))
         yield grids, result, processor_time() - begin
 
@@ -103,9 +110,9 @@ def study(out: Output) -> None:
         solid = "3D" in case
         loop = 1500 if out.quick else (5000 if solid else 10_000) * (3 if out.full else 1)
         uniform = 8000 if out.quick else (50_000 if solid else 130_000) * (3 if out.full else 1)
-        for family in ("uniform", *ENGINES):
+        for family in ("uniform", *FAMILIES):
             found = am.Study(run, {"case": [case], "family": [family]}, out.store, name=f"{case} {family}", fixed={
-                "most": uniform if family == "uniform" else loop,
+                "most": loop if family in ENGINES else uniform if family == "uniform" else uniform // 2,
                 "reference_nodes": loop * (8 if solid or out.quick else 5)}).run(throw=True)
             parts.append(pd.DataFrame(json.loads(found["meshes"][0])).assign(case=case, family=family))
     meshes = pd.concat(parts, ignore_index=True)
@@ -114,34 +121,34 @@ def study(out: Output) -> None:
         of = dict(list(meshes[meshes["case"] == case].groupby("family")))
         low, high = max(rows["energy_error"].min() for rows in of.values()), of["uniform"]["energy_error"].iloc[0]
         line = {"problem": case, "error": 100 * low}
-        for name in ENGINES:
+        for name in FAMILIES:
             for what, column in (("nodes", "nodes"), ("seconds", "cpu")):
                 line[f"{name}: {what}"] = at_error(of["uniform"], low, column) / at_error(of[name], low, column)
         lines.append(line)
         errors = np.geomspace(high, low, 30)
         curves += [(case, name, errors, [at_error(of["uniform"], e, "cpu") / at_error(of[name], e, "cpu")
-                                         for e in errors]) for name in ENGINES]
+                                         for e in errors]) for name in FAMILIES]
     table = pd.DataFrame(lines)
     shown = table[["problem", "error"]].copy()
-    for name in ENGINES:
+    for name in FAMILIES:
         shown[name] = [f"{line[f'{name}: nodes']:.1f} / {line[f'{name}: seconds']:.1f}" for line in lines]
-    out.table("gains", shown, "Adaptive against uniform meshes", "At the least energy error that all meshes reach: "
-              "nodes / seconds of uniform over those of adaptive meshes: above 1 adaptive meshes save. Processor "
-              "seconds of everything: meshes, matrices, solves, estimates.",
-              card="Adaptive against uniform meshes", units={"error": "%"}, formats={"error": ".2g"})
+    out.table("gains", shown, "Adaptive and graded against uniform meshes", "At the least energy error that all meshes "
+              "reach: nodes / seconds of uniform meshes over those of others: above 1 these save. Processor seconds of "
+              "everything: meshes, matrices, solves, estimates.", card="Adaptive and graded against uniform meshes",
+              units={"error": "%"}, formats={"error": ".2g"})
     out.table("meshes", meshes[["case", "family", "nodes", "levels", "cycles", "energy_error", "cpu", "outcome"]],
               "All meshes: nodes, energy error, processor seconds", units={"cpu": "s"},
               formats={"energy_error": ".2e", "cpu": ".2f"})
     for line in (line for line in lines if line["problem"] in ("GRECO bar", "flat punch", "GRECO block 3D")):
-        out.number(f"Nodes and seconds of uniform over adaptive meshes (remeshed; bisected), {line['problem']} at "
+        out.number(f"Nodes and seconds of uniform over graded; remeshed; bisected meshes, {line['problem']} at "
                    f"{line['error']:.2g} % energy error", "; ".join(
-                       f"{line[f'{name}: nodes']:.1f}, {line[f'{name}: seconds']:.1f}" for name in ENGINES))
+                       f"{line[f'{name}: nodes']:.1f}, {line[f'{name}: seconds']:.1f}" for name in FAMILIES))
     figure, ax = drawing(3.1, 4.6)
     for case, name, errors, ratios in curves:
-        ax.loglog(100 * errors, ratios, "-" if name == "remeshed" else ":", color=f"C{cases.index(case)}",
+        ax.loglog(100 * errors, ratios, {"graded": "--", "remeshed": "-"}.get(name, ":"), color=f"C{cases.index(case)}",
                   label=case if name == "remeshed" else None)
     ax.axhline(1.0, color="grey")
-    ax.set(xlabel="energy error [%]", ylabel="seconds, uniform over adaptive")
+    ax.set(xlabel="energy error [%]", ylabel="seconds, uniform over others")
     ax.invert_xaxis()
     for axis, ticks in ((ax.xaxis, (0.1, 0.3, 1, 3, 10, 30)), (ax.yaxis, (0.1, 0.2, 0.5, 1, 2, 5, 10))):
         within = axis.get_view_interval()
@@ -150,8 +157,8 @@ def study(out: Output) -> None:
         axis.set_minor_locator(NullLocator())
     ax.tick_params(labelsize=8)
     figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
-    out.figure("seconds", figure, "Seconds on uniform meshes over those on adaptive ones at equal energy error: solid "
-               "remeshed, dotted bisected; above 1 adaptive meshes are quicker", card="Seconds at equal error")
+    out.figure("seconds", figure, "Seconds on uniform meshes over those on others at equal energy error: solid "
+               "remeshed, dotted bisected, dashed graded; above 1 these are quicker", card="Seconds at equal error")
     *_, last = am.adapt(am.cases.dovetail(), max_nodes=1500 if out.quick else 4000)
     out.figure("mesh", am.plot.mesh(last.result.mesh), f"An adaptive mesh of the dovetail, {last.nodes} nodes")
     out.check("nodes of uniform over those of bisected meshes, flat punch", float(

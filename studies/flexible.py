@@ -14,7 +14,7 @@ from common import Output, main
 
 import adaptmg as am
 
-STEEL = {"young": 2.1e11, "poisson": 0.3}
+STEEL = am.PlaneStrain(young=2.1e11, poisson=0.3)
 METHODS = {"default": am.FullMultigrid(rtol=1e-6), "from zero": am.Multigrid(rtol=1e-6),
            "active set": am.ActiveSet(rtol=1e-6)}
 
@@ -30,9 +30,9 @@ def cantilever(slenderness: float, levels: int) -> am.Hierarchy:
         small = 1e-6 * thickness
         place = np.select([x < small, (y < small) & (x > length / 4), y > thickness - small], [0, 1, 2], 3)
         meshes.append(am.MeshArrays(mesh.points, mesh.elements, mesh.facets, place, ("clamp", "foot", "top", "free")))
-    pressure = 3 * 8 * STEEL["young"] / (1 - STEEL["poisson"]**2) * thickness**3 / 12 * gap / length**4
+    pressure = 3 * 8 * STEEL.young / (1 - STEEL.poisson**2) * thickness**3 / 12 * gap / length**4
     problem = am.ContactProblem(
-        name="cantilever", material=am.PlaneStrain(**STEEL), law=am.Coulomb(0.3),
+        name="cantilever", material=STEEL, law=am.Coulomb(0.3),
         contact=am.Contact("foot", am.Plane((0.0, -gap), (0.0, 1.0))), loads=(am.Pressure("top", pressure),),
         supports=(am.Support("clamp", x=0.0, y=0.0),))
     return am.Hierarchy.from_meshes(problem, meshes)
@@ -45,7 +45,7 @@ def blocks(contrast: float, levels: int) -> am.Hierarchy:
     problem = am.ContactProblem(
         name="blocks", domain=am.Assembly(parts=parts), law=am.Coulomb(0.3),
         contact=am.ContactPair("upper.bottom", "lower.top"),
-        material={"upper": am.PlaneStrain(**STEEL), "lower": am.PlaneStrain(young=2.1e11 / contrast, poisson=0.3)},
+        material={"upper": STEEL, "lower": am.PlaneStrain(young=2.1e11 / contrast, poisson=0.3)},
         loads=(am.Pressure("upper.top", 1e7), am.Traction("upper.top", (1e6, 0.0))),
         supports=(am.Support("lower.bottom", x=0.0, y=0.0),))
     return am.Hierarchy.graded(problem, [8e-3 / 2**k for k in range(levels)])
