@@ -19,6 +19,7 @@ from adaptmg._numba import clock, compiling_seconds
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.discretise import same
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.sides import with_sides
 from adaptmg.level import (
     Level,
     check_coarse_to_fine,
@@ -250,6 +251,7 @@ class Hierarchy:
         """The levels on the meshes that ``mesh`` makes."""
         compiled = compiling_seconds()
         meshes = mesh()
+        problem = with_sides(problem, meshes[-1])
         for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
             warnings.warn(message, UserWarning, stacklevel=4)
         checks.flag("contact_rows", contact_rows)
@@ -345,7 +347,11 @@ class Hierarchy:
         if domain is not None and other is not None and other is not domain and not same(other, domain):
             raise ValueError(f"problem has another domain, {checks.shown(other)}, than these meshes, "
                              f"{checks.shown(domain)}: mesh it with Hierarchy.graded or uniform")
+        problem = with_sides(problem, self.finest.mesh)
         own, asked = ((*one.contact_boundaries, *one.masters) for one in (self.problem, problem))
+        if own != asked and _exchanged(self.problem) == _exchanged(problem):
+            meshes = [level.mesh for level in self.levels]
+            return replace(self.from_meshes(problem, meshes, self.transfer, self.contact_rows), origin=self.origin)
         if own != asked:
             raise ValueError(f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
                              f"contact on {', '.join(filter(None, own))}: use Hierarchy.graded or from_meshes")
@@ -440,6 +446,11 @@ def _check_total(name: str, nodes: Sequence[int], dim: int) -> None:
     if sum(nodes) > most:
         raise ValueError(f"{name} must make at most {most:.3g} nodes in all, got {sum(nodes):.3g} on {len(nodes)} "
                          f"levels, {max(nodes):.3g} on the finest: leave levels out (halving the divisions is usual)")
+
+
+def _exchanged(problem: ContactProblem) -> list[frozenset[str]]:
+    """The boundaries of each contact, whichever is the slave."""
+    return [frozenset(pair) for pair in zip(problem.contact_boundaries, problem.masters, strict=True)]
 
 
 def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:

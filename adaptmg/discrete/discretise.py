@@ -43,6 +43,7 @@ from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.discrete.rigid_modes import rigid_motions
+from adaptmg.discrete.sides import with_sides
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import fixed_dofs, supported_nodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
@@ -85,6 +86,7 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
     if mesh.dim != problem.dim:
         raise ValueError(f"the mesh is {mesh.dim}D, the problem {problem.name!r} {problem.dim}D")
+    problem = with_sides(problem, mesh)
     problem.check_boundaries(mesh.boundaries)
     problem.check_bodies(mesh.bodies)
     bodies = _bodies(mesh)

@@ -105,9 +105,15 @@ class ContactPair:
     ----------
     slave : str
         The boundary that carries the contact nodes: rather that of the softer body, the finer one, and the one that
-        lies inside the other. Multigrid is slow where a stiff slave sits on a soft master.
+        lies inside the other.
     master : str
         The boundary it may touch.
+    sides : {"given", "auto"}
+        Whether the slave is the boundary named so, or the softer of the two, of bodies whose moduli are within a factor
+        of 2 the finer. "auto" is decided where a hierarchy or a discrete problem is made: ``hierarchy.problem``,
+        ``result.contact`` (``names`` the slaves, ``masters``) and pictures speak of the slave that was taken. A master
+        of several pairs, or one that a support holds, stays the master. Cycles do not depend on the contrast of the
+        bodies with the softer one as slave, and are many with one 10 times stiffer than its master (a warning).
     coupling : {"mortar", "nodes"}
         Mortar integrals with dual multipliers; or node to node, for surfaces whose nodes match.
     allow_interference : bool
@@ -127,6 +133,7 @@ class ContactPair:
     slave: str
     master: str
     _: KW_ONLY
+    sides: str = "given"
     coupling: str = "mortar"
     allow_interference: bool = False
     reach: float | None = None
@@ -138,6 +145,7 @@ class ContactPair:
         if self.slave == self.master:
             raise ValueError(f"slave and master are both {self.slave!r}: name two different boundaries; where a "
                              "surface may touch itself, cut it into two boundaries")
+        checks.choice("sides", self.sides, ("given", "auto"))
         checks.choice("coupling", self.coupling, ("mortar", "nodes"))
         checks.flag("allow_interference", self.allow_interference)
         if self.reach is not None:

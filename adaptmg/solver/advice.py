@@ -16,9 +16,10 @@ from contextvars import ContextVar
 import numpy as np
 
 from adaptmg.discrete.elasticity import body_materials
+from adaptmg.discrete.sides import STIFFER, stiffness_ratio
 from adaptmg.discrete.stress import element_strain, hoop_strain
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import Contact, ContactProblem, InitialStrain, Plane, PlaneStress
+from adaptmg.problem import Contact, ContactPair, ContactProblem, InitialStrain, Plane, PlaneStress
 from adaptmg.smoother.system import OPEN
 from adaptmg.solver.result import Result
 
@@ -70,6 +71,12 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
     if problem is None or mesh is None:
         return
     materials = body_materials(mesh, problem.material)
+    for pair in problem.contact if len(mesh.bodies) > 1 else ():
+        if isinstance(pair, ContactPair) and (ratio := stiffness_ratio(problem, mesh, pair)) >= STIFFER:
+            advise("sides", f"contact pair ({pair.slave!r}, {pair.master!r}): the slave is {ratio:.3g} times stiffer "
+                   "than the master, which takes multigrid two to five times as many cycles as with "
+                   f"{pair.master!r} for the slave, or ends in the active set method: exchange them, or give the pair "
+                   "sides=\"auto\"")
     for name, one in zip(mesh.bodies, materials, strict=True):
         if problem.elements == "linear" and one.poisson > LOCKING and not isinstance(one, PlaneStress):
             advise("poisson", f"material of body {name!r}: poisson is {one.poisson:g}, and above {LOCKING:g} linear "

@@ -4,6 +4,7 @@ Two bodies, and who is slave
 
 The contact conditions of a pair are posed on the first boundary, the slave. Meshes need not match. Take the softer body
 and the smaller surface as slave; the other choice is solved as well, with more cycles.
+A pair with ``sides="auto"`` chooses by itself.
 """
 
 import adaptmg as am
