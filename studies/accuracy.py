@@ -8,8 +8,8 @@ friction .3) the mean displacement of the top; of the beam (20 : 1, over a stop)
 against a mesh twice as fine as the last. Seconds: of making all matrices and transfers and of solving; meshes are not
 counted.
 
-Other programs were run once on the same problems, with friction as here, on one thread; their seconds are stored in this
-script. Those of CalculiX are of the whole process.
+Other programs were run once on the same problems, with friction as here, on one thread; their seconds are stored in
+this script. Those of CalculiX are of the whole process.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,8 @@ HERTZ_TOP = -15.8898e-6
 #: seconds of other programs to an error
 PEERS = pd.DataFrame([
     ("GRECO bar", 8e-4, "GetFEM 5.4.2, bilinear", 0.072), ("GRECO bar", 8e-4, "CalculiX 2.20, CPE4", 0.40),
-    ("GRECO bar", 2e-4, "NGSolve 6.2.2608, second order, graded", 0.171), ("GRECO bar", 2e-4, "CalculiX 2.20, CPE8", 3.1),
+    ("GRECO bar", 2e-4, "NGSolve 6.2.2608, second order, graded", 0.171),
+    ("GRECO bar", 2e-4, "CalculiX 2.20, CPE8", 3.1),
     ("Hertz", 1e-3, "NGSolve 6.2.2608, second order, curved", 0.098),
     ("beam", 3.5e-3, "GetFEM 5.4.2, biquadratic", 0.0134),
     ("GRECO block 3D", 1.5e-3, "NGSolve 6.2.2608, second order", 2.6),
