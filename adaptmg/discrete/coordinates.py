@@ -16,7 +16,7 @@ combination :math:`\sum_k W_{jk} u_k` of nodes of the other surface (mortar weig
 
 .. math:: w = (I - \Pi W)\,u,\qquad u = T w,\qquad T = (I - \Pi W)^{-1} = I + \Pi W + (\Pi W)^2 + \dots
 
-where :math:`\Pi` drops the fixed components of slave nodes. The series ends, as no node follows itself: two powers
+where :math:`\Pi` drops what supports hold of slave nodes. The series ends, as no node follows itself: two powers
 where no slave node is a master node, one more for each body that is both (B. Wohlmuth, Acta Numerica 20, 2011,
 doi:10.1017/S0962492911000079, for the two-body case). With :math:`\hat A = T^T A T,\ \hat b = T^T b` the contact
 conditions are on the slave nodes alone, and :math:`\hat A w - \hat b = T^T (A u - b)` is there the contact force on the
@@ -32,6 +32,7 @@ from scipy import sparse
 
 from adaptmg._check_arrays import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
+from adaptmg.discrete.inclined import Inclined
 
 #: the largest weight that counts as none
 NEGLIGIBLE = 1e-6
@@ -45,6 +46,7 @@ class Coupling:
 
     weights: sparse.csr_array  # (n_nodes, n_nodes) sparse
     fixed: np.ndarray  # (n_dofs,) bool: fixed dofs; those of slave nodes are not relative
+    inclined: Inclined | None = None  # further directions that supports hold, likewise
     upward: sparse.csr_array = field(init=False, repr=False)  # (n_nodes, n_nodes) csr_array
     _by_dof: sparse.csr_array = field(init=False, repr=False)
     _series: sparse.csr_array = field(init=False, repr=False)
@@ -54,6 +56,8 @@ class Coupling:
         dim = len(self.fixed) // n
         by_dof = sparse.csr_array(sparse.diags_array((~self.fixed).astype(float))
                                   @ sparse.kron(weights, sparse.eye_array(dim), format="csr"))
+        if self.inclined is not None:
+            by_dof = sparse.csr_array(by_dof - self.inclined.spread(self.inclined.spans, n) @ by_dof)
         by_dof.eliminate_zeros()
         upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights))
         object.__setattr__(self, "upward", narrowed(upward))
@@ -129,6 +133,7 @@ class Unknowns:
     coupling: Coupling | None
     fixed: np.ndarray
     fixed_values: np.ndarray
+    inclined: Inclined | None
 
     @property
     def dim(self) -> int:
@@ -181,7 +186,7 @@ class Unknowns:
             result = np.where(own, moved[nodes] - self.coupling.weights[nodes] @ moved, result)
             for at, weights, c in self.held_together():
                 result[at, c] = moved[nodes[at], c] - weights @ moved[:, c]
-        return result
+        return result if self.inclined is None else self.inclined.free_part(nodes, result)
 
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
         """For each component the contact nodes at which it is fixed and faces fixed ones, and the weights of these.

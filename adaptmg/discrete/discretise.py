@@ -38,6 +38,7 @@ from adaptmg._on_demand import OnDemand
 from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
 from adaptmg.discrete.elasticity import Materials, body_materials
 from adaptmg.discrete.exchange import ScaledLaw, find_carriers
+from adaptmg.discrete.inclined import HeldNodes, Inclined
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
@@ -45,7 +46,7 @@ from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.sides import with_sides
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import fixed_dofs, supported_nodes
+from adaptmg.discrete.supports import fixed_dofs, held_directions, inclined_supports, supported_nodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem, check_law
 from adaptmg.problem.laws import Law
@@ -92,14 +93,15 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     bodies = _bodies(mesh)
     _check_held(problem, mesh, bodies)
     fixed, values = fixed_dofs(mesh, problem.supports)
-    contact, weights = _contact(problem, mesh, slip_reference, fixed)
-    Stops.of(problem, mesh, fixed).check(values)
+    held = HeldNodes(fixed.reshape(-1, mesh.dim), inclined_supports(mesh, problem.supports))
+    contact, weights = _contact(problem, mesh, slip_reference, held)
+    Stops.of(problem, mesh, held).check(values, {})
     materials = body_materials(mesh, problem.material)
     parts = {"matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
              "load": load_vector(mesh, problem.loads, materials, problem.elements),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": _nodal_law(problem, mesh, contact),
-             "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
+             "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)), "inclined": held.inclined,
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     parts["strain_free"] = _strain_free(problem, mesh, materials)
     for array in (parts["load"], fixed, values, *bodies.values()):
@@ -150,7 +152,7 @@ def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
     """As :func:`discretise`; ``old``, that of a problem that differs in the parts ``changed`` and in the law, gives
     what only loads and law leave unchanged."""
     posed = old.contact if old.exchange is None else old.exchange.contact
-    if changed - {"loads"} or posed.slip_reference.any():
+    if changed - {"loads"} or posed.slip_reference.any() or (changed and old.inclined is not None):
         return discretise(problem, mesh)
     problem.check_boundaries(mesh.boundaries)
     problem.check_bodies(mesh.bodies)
@@ -181,16 +183,16 @@ def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) ->
     return motions
 
 
-def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, fixed: np.ndarray
+def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, held: HeldNodes
              ) -> tuple[ContactNodes, sparse.csr_array | None]:
     """Contact nodes and what they face; without slave nodes that should be exchanged for others and cannot."""
     excluded = np.empty(0, dtype=np.int64)
     while True:
-        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded, fixed=fixed)
+        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded, held=held)
         if weights is None:
             return contact, None
         law = _nodal_law(problem, mesh, contact)
-        unmatched = find_carriers(contact.nodes, weights, fixed, law)[2]
+        unmatched = find_carriers(contact.nodes, weights, held.fixed.reshape(-1), law, held.inclined)[2]
         if not len(unmatched):
             return contact, weights
         excluded = np.union1d(excluded, contact.nodes[unmatched])
@@ -223,34 +225,43 @@ _ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, 
 
 
 def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
-                 excluded: np.ndarray | None = None, fixed: np.ndarray | None = None
+                 excluded: np.ndarray | None = None, held: HeldNodes | None = None
                  ) -> tuple[ContactNodes, sparse.csr_array | None]:
     """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow. ``excluded``
-    slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m; ``fixed`` are the
-    prescribed dofs."""
+    slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m."""
     owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
     surfaces = [mesh.surface(name) for name in problem.contact_boundaries]
     for k in reversed(range(len(surfaces))):
         owner[surfaces[k].nodes] = k
-    fixed = (fixed_dofs(mesh, problem.supports)[0] if fixed is None else fixed).reshape(-1, mesh.dim)
+    if held is None:
+        held = HeldNodes(fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim),
+                         inclined_supports(mesh, problem.supports))
     parts = []
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
             mine = surfaces[k].nodes
-            without = np.union1d(mine[owner[mine] != k], _prescribed(problem, mesh, k, mine, slave_normals(
-                surfaces[k], fixed)[mine], fixed))
+            normals = slave_normals(surfaces[k], held)[mine]
+            partly = np.linalg.norm(_free_normals(problem, mesh, k, mine, normals, held), axis=1) < 1 - _TANGENTIAL
+            without = np.union1d(mine[owner[mine] != k], mine[partly])
             if excluded is not None:
                 without = np.union1d(without, excluded)
-            parts.append(pair_interface(mesh, contact, fixed=fixed, excluded=without,
+            parts.append(pair_interface(mesh, contact, held=held, excluded=without,
                                         axisymmetric=problem.axisymmetric))
         else:
-            parts.append(_in_front_of(contact, problem, mesh, surfaces, owner, k, fixed))
+            parts.append(_in_front_of(contact, problem, mesh, surfaces, owner, k, held))
     boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
     nodes = np.concatenate([part.nodes for part in parts])
     order = np.argsort(nodes)
     nodes, boundary = nodes[order], boundary[order]
     normals, weights, gaps = (np.concatenate([getattr(part, name) for part in parts])[order]
                               for name in ("normals", "weights", "gaps"))
+    if held.inclined is not None:
+        rubbed = np.intersect1d(nodes, held.inclined.nodes[sum(held.inclined.moved.values(), 0.0 * held.inclined.spans[
+            :, 0]).any(axis=1)])
+        if len(rubbed):
+            raise ValueError(f"a support moves contact node {rubbed[0]} {tuple(mesh.points[rubbed[0]].tolist())} along "
+                             "the normal of its boundary, which is no axis: turn the geometry, or end one of the "
+                             "boundaries before the other begins")
     if slip_reference is not None:
         slip_reference = check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
     slip_reference = _with_motions(problem, mesh.points[nodes], boundary, slip_reference)
@@ -293,11 +304,12 @@ def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | 
 
 
 def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
-                 owner: np.ndarray, k: int, fixed: np.ndarray) -> MortarInterface:
-    """The nodes that contact boundary k owns, in front of a rigid obstacle."""
+                 owner: np.ndarray, k: int, held: HeldNodes) -> MortarInterface:
+    """The nodes that contact boundary k owns, in front of a rigid obstacle. Where a support holds a part of the normal
+    a node goes towards the obstacle along the rest of it; where it holds all of it there is no contact."""
     nodes = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
     try:
-        averaged = slave_normals(surfaces[k], fixed)[nodes]
+        averaged = slave_normals(surfaces[k], held)[nodes]
     except ValueError as error:
         raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
     normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
@@ -309,9 +321,9 @@ def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, su
         raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
                          f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
                          "allow_interference=True for an interference fit")
-    kept = ~np.isin(nodes, _prescribed(problem, mesh, k, nodes, normals, fixed))
-    nodes, normals = nodes[kept], normals[kept]
-    return MortarInterface(nodes, normals, _lumped_masses(problem, surfaces, nodes, k, averaged[kept]), gaps[kept])
+    normals, gaps, kept = along_free(_free_normals(problem, mesh, k, nodes, normals, held), normals, gaps)
+    weights = _lumped_masses(problem, surfaces, nodes[kept], k, averaged[kept])
+    return MortarInterface(nodes[kept], normals[kept], weights, gaps[kept])
 
 
 def _lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
@@ -348,66 +360,82 @@ def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, norma
     return directions, check_arrays.array(f"{name}: its gaps", gaps, (len(points),))
 
 
+def along_free(free: np.ndarray, normals: np.ndarray, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normals (n, dim), gaps (n,) along their free parts (n, dim), and which of these parts do not vanish."""
+    length = np.linalg.norm(free, axis=1)
+    kept, partly = length > _TANGENTIAL, length < 1 - _TANGENTIAL
+    length[~partly | ~kept] = 1.0
+    return np.where((partly & kept)[:, None], free / length[:, None], normals), gaps / length, kept
+
+
 _TANGENTIAL = 1e-8  # a component of a unit normal below this is none
 
 
-def _prescribed(problem: ContactProblem, mesh: MeshArrays, k: int, nodes: np.ndarray, normals: np.ndarray,
-                fixed: np.ndarray) -> np.ndarray:
-    """Those of the nodes on contact boundary k whose normal displacement is prescribed: they carry no contact.
+def _free_normals(problem: ContactProblem, mesh: MeshArrays, k: int, nodes: np.ndarray, normals: np.ndarray,
+                  held: HeldNodes) -> np.ndarray:
+    """Normals (n, dim) at nodes on contact boundary k without their parts along what supports hold there.
 
-    ValueError if a support prescribes a part of it only, or all of it on the contact boundary itself.
+    ValueError if a support on the boundary itself holds a part of them: what is meant is then something else.
     """
     boundary = problem.contact[k].boundary
-    clash = fixed[nodes] & (np.abs(normals) > _TANGENTIAL)
-    whole = np.linalg.norm(np.where(fixed[nodes], 0.0, normals), axis=1) <= _TANGENTIAL
     own = [one for one in problem.supports if one.boundary == boundary]
-    refused = clash & (~whole[:, None] | fixed_dofs(mesh, own)[0].reshape(fixed.shape)[nodes])
-    if refused.any():
-        i, d = (int(at[0]) for at in np.nonzero(refused))
-        support = next(one for one in problem.supports if fixed_dofs(mesh, [one])[0][mesh.dim * nodes[i] + d])
-        raise ValueError(f"the support on {support.place!r} fixes {'xyz'[d]}, which has a part normal to contact "
-                         f"boundary {boundary!r} at their common node {nodes[i]} "
-                         f"{tuple(mesh.points[nodes[i]].tolist())}: contact could never open there; free that "
-                         "component, or end one of the boundaries before the other begins")
-    return nodes[whole & clash.any(axis=1)]
+    for name, directions in held_directions(mesh, own).items():
+        if len(nodes) and (np.abs(normals @ directions.T) > _TANGENTIAL).any():
+            i = int(np.argmax(np.abs(normals @ directions.T).max(axis=1)))
+            raise ValueError(f"the support on {name!r} fixes a component with a part normal to contact boundary "
+                             f"{boundary!r}, at node {nodes[i]} {tuple(mesh.points[nodes[i]].tolist())}: contact could "
+                             "never open there; free that component, or name another boundary")
+    return held.free_part(nodes, normals)
 
 
 @dataclass(frozen=True, eq=False)
 class Stops:
     """Rigid obstacles in front of nodes that a support moves: their motion must end before them."""
 
-    dofs: np.ndarray  # (n, dim)
+    nodes: np.ndarray  # (n,) int
     normals: np.ndarray  # (n, dim)
     gaps: np.ndarray  # (n,), m
     boundary: np.ndarray  # (n,) of str
+    inclined: Inclined | None = None
 
     @classmethod
-    def of(cls, problem: ContactProblem, mesh: MeshArrays, fixed: np.ndarray) -> Stops:
-        """The nodes of a mesh whose normal displacement the dofs ``fixed`` (n_dofs,) prescribe."""
-        parts, held = [], fixed.reshape(-1, mesh.dim)
+    def of(cls, problem: ContactProblem, mesh: MeshArrays, held: HeldNodes) -> Stops:
+        """The nodes of a mesh of whose normal displacement supports prescribe a part, or all of it. What moves a part
+        may not change the gap."""
+        parts = []
         for contact in problem.contact:
             if isinstance(contact, ContactPair) or _may_overlap(contact):
                 continue
             surface = mesh.surface(contact.boundary)
-            nodes = surface.nodes[held[surface.nodes].any(axis=1)]
+            nodes = surface.nodes
+            some = held.fixed[nodes].any(axis=1)
+            if held.inclined is not None:
+                some |= np.isin(nodes, held.inclined.nodes)
+            nodes = nodes[some]
             if len(nodes):
                 normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes],
                                         slave_normals(surface, held)[nodes])
-                whole = np.linalg.norm(np.where(held[nodes], 0.0, normals), axis=1) <= _TANGENTIAL
-                parts.append((mesh.dim * nodes[whole, None] + np.arange(mesh.dim), normals[whole], gaps[whole],
-                              np.full(whole.sum(), contact.boundary)))
-        none = (np.empty((0, mesh.dim), dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0, dtype=str))
-        return cls(*(np.concatenate(arrays) for arrays in zip(none, *parts, strict=True)))
+                length = np.linalg.norm(held.free_part(nodes, normals), axis=1)
+                for here, sign in ((length <= _TANGENTIAL, 1.0), *(
+                        ((length > _TANGENTIAL) & (length < 1 - _TANGENTIAL), sign) for sign in (1.0, -1.0))):
+                    own = np.where(length <= _TANGENTIAL, gaps, 0.0)[here]
+                    parts.append((nodes[here], sign * normals[here], own, np.full(here.sum(), contact.boundary)))
+        none = (np.empty(0, dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0, dtype=str))
+        return cls(*(np.concatenate(arrays) for arrays in zip(none, *parts, strict=True)), held.inclined)
 
-    def check(self, values: np.ndarray) -> None:
-        """ValueError if the prescribed displacement (n_dofs,) crosses an obstacle."""
-        moved = np.einsum("nd,nd->n", self.normals, values[self.dofs])
-        over = moved - self.gaps - _ROUNDING * (np.abs(moved) + np.abs(self.gaps))
+    def check(self, values: np.ndarray, factors: Mapping[str, float]) -> None:
+        """ValueError if the prescribed displacement (n_dofs,) of a load step crosses an obstacle."""
+        if not len(self.nodes):
+            return
+        moved = values.reshape(-1, self.normals.shape[1]).copy()
+        if self.inclined is not None:
+            moved[self.inclined.nodes] += self.inclined.prescribed(factors)
+        along = np.einsum("nd,nd->n", self.normals, moved[self.nodes])
+        over = along - self.gaps - _ROUNDING * (np.abs(moved[self.nodes]).max(axis=1) + np.abs(self.gaps))
         if (over > 0).any():
             i = int(np.argmax(over))
-            node = self.dofs[i, 0] // self.dofs.shape[1]
             raise ValueError(f"a support moves contact boundary {str(self.boundary[i])!r} {over[i]:.6g} m into its "
-                             f"obstacle at node {node}: move it less, or the obstacle")
+                             f"obstacle at node {self.nodes[i]}: move it less, or the obstacle")
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,6 +456,12 @@ class LoadSteps:
         if not self.strains:
             return self.stress
         return replace(self.stress, initial_strain=sum(factors[name] * strain for name, strain in self.strains.items()))
+
+    def step(self, discrete: DiscreteProblem, factors: Mapping[str, float], slip_reference: np.ndarray
+             ) -> DiscreteProblem:
+        """The problem of a load step; slips count from ``slip_reference`` (n_contact, dim), m."""
+        return discrete.with_step(self.load(factors), self.fixed_values(factors), slip_reference,
+                                  self.strain_free(factors), factors)
 
     def strain_free(self, factors: Mapping[str, float]) -> tuple[np.ndarray, float] | None:
         """See :class:`DiscreteProblem`."""
@@ -459,7 +493,7 @@ class LoadSteps:
                                  "give both the same factors")
             result[dofs], owner[dofs] = scaled, k
         if self.stops is not None:
-            self.stops.check(result)
+            self.stops.check(result, factors)
         return result
 
 
@@ -481,10 +515,11 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
         prescribed[name] = dofs, values[dofs]
     return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed,
                      StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh,
-                     Stops.of(problem, mesh, discrete.fixed))
+                     Stops.of(problem, mesh, HeldNodes(discrete.fixed.reshape(-1, mesh.dim), discrete.inclined)))
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:
     """All loads and prescribed displacements of a problem without names, as one."""
-    dofs = np.flatnonzero(discrete.fixed)
-    return LoadSteps(discrete.n_dofs, {DEFAULT: discrete.load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])})
+    dofs, inclined = np.flatnonzero(discrete.fixed), discrete.inclined
+    load = discrete.load if inclined is None else inclined.given_load(discrete.load)
+    return LoadSteps(discrete.n_dofs, {DEFAULT: load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])})

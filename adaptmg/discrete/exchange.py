@@ -12,7 +12,8 @@ reversed, gaps and slips divided and forces multiplied by :math:`|\sigma|`; the 
 and its support. Results are converted back: they refer to the slave node.
 
 A node k serves if it is free, follows no other, and no other such j faces it. Without one (edges of 3D bodies whose
-nodes lie closer than those of the master, say) j must do without a multiplier, and its neighbours take its part.
+nodes lie closer than those of the master, say), and where what is held is no component, j must do without a
+multiplier, and its neighbours take its part.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from scipy import sparse
 
 from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.coordinates import NEGLIGIBLE, facing_part
+from adaptmg.discrete.inclined import Inclined
 from adaptmg.problem.laws import Law
 
 #: the least weight of a node that takes the place of another
@@ -56,8 +58,8 @@ class ScaledLaw:
         return limit * self.factors, friction
 
 
-def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray, law: Law
-                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray, law: Law,
+                  inclined: Inclined | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The contact nodes to be exchanged, and for whom."""
     dim = len(fixed) // weights.shape[0]
     fixed = fixed.reshape(-1, dim)
@@ -72,6 +74,13 @@ def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarra
     facing = rows[places]
     n_facing = np.bincount(facing.indices[np.abs(facing.data) > 0], minlength=rows.shape[1])
     eligible = (n_facing == 1) & ~fixed.any(axis=1) & (np.diff(sparse.csr_array(weights).indptr) == 0)
+    lone = np.empty(0, dtype=np.int64)
+    if inclined is not None:
+        eligible[inclined.nodes] = False
+        either = fixed.any(axis=1)
+        either[inclined.nodes] = True
+        lone = acts & np.isin(nodes, inclined.nodes)
+        lone = np.flatnonzero(lone)[facing_part(rows[lone]) @ either.astype(float) <= NEGLIGIBLE]
     carriers = np.full(len(places), -1)
     for i in range(len(places)):
         columns, values = (part[facing.indptr[i]:facing.indptr[i + 1]] for part in (facing.indices, facing.data))
@@ -79,7 +88,7 @@ def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarra
         if possible.any():
             carriers[i] = columns[np.argmax(np.where(possible, values, 0.0))]
     found = carriers >= 0
-    return places[found], carriers[found], places[~found]
+    return places[found], carriers[found], np.union1d(places[~found], lone)
 
 
 def rows_of_carriers(weights: sparse.csr_array, slaves: np.ndarray, carriers: np.ndarray) -> sparse.csr_array:
@@ -99,10 +108,10 @@ def rows_of_carriers(weights: sparse.csr_array, slaves: np.ndarray, carriers: np
     return sparse.csr_array(sparse.diags_array(kept, format="csr") @ weights + new)
 
 
-def exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law
-               ) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
+def exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law,
+              inclined: Inclined | None = None) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
     """Contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
-    places, carriers, unmatched = find_carriers(contact.nodes, weights, fixed, law)
+    places, carriers, unmatched = find_carriers(contact.nodes, weights, fixed, law, inclined)
     if len(unmatched):
         raise ValueError(f"contact: slave node {contact.nodes[unmatched[0]]} has a supported tangential component, and "
                          "no node that it faces can take its place (each belongs to another one, too): exchange slave "

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.discrete.discretise import facing_obstacle
+from adaptmg.discrete.discretise import along_free, facing_obstacle
+from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.mortar.interface import slave_normals
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
@@ -26,14 +27,15 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
     """
     if not now:
         return discrete
-    fixed = discrete.fixed.reshape(mesh.points.shape)
+    held = HeldNodes(discrete.fixed.reshape(mesh.points.shape), discrete.inclined)
     contact, exchange = discrete.contact, discrete.exchange
     normals, gaps, reference = contact.normals.copy(), contact.gaps.copy(), contact.slip_reference.copy()
     for k, obstacle in now.items():
         own = np.flatnonzero(contact.boundary == k)
         points, boundary = mesh.points[contact.nodes[own]], problem.contact[k].boundary
-        outward = slave_normals(mesh.surface(boundary), fixed)[contact.nodes[own]]
-        normals[own], gaps[own] = facing_obstacle(obstacle, boundary, points, outward)
+        outward = slave_normals(mesh.surface(boundary), held)[contact.nodes[own]]
+        direct, gap = facing_obstacle(obstacle, boundary, points, outward)
+        normals[own], gaps[own], _ = along_free(held.free_part(contact.nodes[own], direct), direct, gap)
         reference[own] += obstacle.motion(points) - (before[k].motion(points) if k in before else 0.0)
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _ROUNDING
     new = replace(contact, normals=normals if turned else contact.normals, gaps=gaps, slip_reference=reference,

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +39,7 @@ from adaptmg.discrete.contact_nodes import (
 )
 from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.exchange import Exchange, exchanged
+from adaptmg.discrete.inclined import Inclined
 from adaptmg.discrete.rigid_modes import rigid_body_modes
 from adaptmg.problem.contact_problem import check_law
 from adaptmg.problem.laws import Law
@@ -75,6 +76,9 @@ class DiscreteProblem(Unknowns):
         Nodes of each body by name, for messages.
     strain_free : pair of (n_dofs,) array and float, optional
         Of initial strains the part of ``load``, N, and the energy of suppressing them, N m; see :meth:`stress_energy`.
+    inclined : Inclined, optional
+        Supports along directions that are no axes, which are eliminated from matrix and load
+        (:mod:`adaptmg.discrete.inclined`).
     exchange : Exchange, optional
         Contact as it was posed where slave and master were exchanged at single nodes
         (:mod:`adaptmg.discrete.exchange`).
@@ -103,6 +107,7 @@ class DiscreteProblem(Unknowns):
     bodies: Mapping[str, np.ndarray] | None = None
     exchange: Exchange | None = None
     strain_free: tuple[np.ndarray, float] | None = None
+    inclined: Inclined | None = None
 
     if TYPE_CHECKING:
         def __init__(self, *, matrix: sparse.sparray | sparse.spmatrix, load: ArrayLike, fixed: ArrayLike, law: Law,
@@ -110,7 +115,8 @@ class DiscreteProblem(Unknowns):
                      coordinates: ArrayLike | None = None, near_nullspace: ArrayLike | None = None,
                      name: str = "discrete problem", coupling: Coupling | None = None,
                      bodies: Mapping[str, np.ndarray] | None = None, exchange: Exchange | None = None,
-                     strain_free: tuple[np.ndarray, float] | None = None) -> None: ...
+                     strain_free: tuple[np.ndarray, float] | None = None, inclined: Inclined | None = None
+                     ) -> None: ...
 
     @classmethod
     def assembled(cls, weights: sparse.csr_array | None = None, **parts: Any) -> DiscreteProblem:
@@ -119,6 +125,8 @@ class DiscreteProblem(Unknowns):
         :class:`~adaptmg._on_demand.OnDemand`."""
         if weights is not None:
             parts = _in_relative_coordinates(weights, parts)
+        if parts.get("inclined") is not None:
+            parts = parts["inclined"].of_problem(parts)
         result = cls.__new__(cls)
         result.__dict__.update({one.name: parts.get(one.name, one.default) for one in fields(cls)},
                                matrix=indices_frozen(parts["matrix"]))
@@ -169,22 +177,29 @@ class DiscreteProblem(Unknowns):
         if self.strain_free is None:
             return energy
         load, suppressed = self.strain_free
-        return max(energy - 2 * float(np.einsum("i,i->", displacement, load)) + suppressed, 1e-8 * suppressed)
+        return max(energy - 2 * float(np.einsum("i,i->", displacement, load)) + suppressed, 1e-8 * abs(suppressed))
 
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray,
-                  strain_free: tuple[np.ndarray, float] | None = None) -> DiscreteProblem:
+                  strain_free: tuple[np.ndarray, float] | None = None,
+                  factors: Mapping[str, float] | None = None) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a coupling relative ones),
-        N and m; slips count from ``slip_reference`` (n_contact, dim), as :meth:`at_contact` has it, m.
+        N and m; slips count from ``slip_reference`` (n_contact, dim), as :meth:`at_contact` has it, m. ``factors`` are
+        those of the step.
         """
         contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
         values = bounded("fixed_values", fixed_values, (self.n_dofs,))
         values = bounded("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
+        inclined = self.inclined
+        if inclined is not None:
+            prescribed = inclined.prescribed(factors or {})
+            inclined = replace(inclined, load=load.reshape(-1, self.dim)[inclined.nodes])
+            load, strain_free = inclined.posed(load, prescribed), inclined.strain_free(strain_free, prescribed)
         return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact,
-                           strain_free=strain_free)
+                           strain_free=strain_free, inclined=inclined)
 
     def posing(self, **parts: object) -> DiscreteProblem:
         """The same with other parts (load, law, ...), which have been checked."""
@@ -285,8 +300,9 @@ def _check_row_sums(weights: sparse.csr_array) -> None:
 
 def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -> dict[str, Any]:
     """The parts of a problem of several bodies, which have been checked, with their coupling."""
-    contact, weights, law, exchange = exchanged(parts["contact"], weights, parts["fixed"], parts["law"])
-    coupling, modes = Coupling(weights, parts["fixed"]), parts["near_nullspace"]
+    contact, weights, law, exchange = exchanged(parts["contact"], weights, parts["fixed"], parts["law"],
+                                                  parts.get("inclined"))
+    coupling, modes = Coupling(weights, parts["fixed"], parts.get("inclined")), parts["near_nullspace"]
     if isinstance(modes, OnDemand):
         modes = OnDemand(partial(_relative_modes, modes))
     elif modes is not None:

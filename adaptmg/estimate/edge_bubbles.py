@@ -31,7 +31,7 @@ from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.elasticity import body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import boundary_supports
+from adaptmg.discrete.supports import held_directions
 from adaptmg.estimate.adjoint import LinearisedContact
 from adaptmg.geometry.quadrature import (
     AXISYMMETRIC_DEGREE,
@@ -289,13 +289,14 @@ def bubble_spaces(bubbles: EdgeBubbles, contact: LinearisedContact) -> BubbleSpa
     trial[surface], test[surface] = 0.0, 0.0
     trial[surface, :, 1:] = tangents.transpose(0, 2, 1)
     test[surface, :, 1:] = (tangents + share[:, :, None] * normal[:, None, :]).transpose(0, 2, 1)
-    for support in boundary_supports(mesh, problem.supports):
-        edges = np.unique(bubbles.of_facets(mesh.boundary_facets(support.boundary)))
-        for k, value in enumerate(support.components(dim)):
-            if value is not None:
-                held = np.abs(trial[edges, k, :]) > 1e-8
-                for space in (trial, test):
-                    space[edges] = np.where(held[:, None, :], 0.0, space[edges])
+    for name, directions in held_directions(mesh, problem.supports).items():
+        edges = np.unique(bubbles.of_facets(mesh.boundary_facets(name)))
+        # with columns along and across what is held, where no contact has chosen others
+        plain = edges[(trial[edges] == np.eye(dim)).all(axis=(1, 2))]
+        trial[plain] = test[plain] = np.linalg.qr(directions.T, mode="complete")[0]
+        held = (np.abs(np.einsum("kd,edj->ekj", directions, trial[edges])) > 1e-8).any(axis=1)
+        for space in (trial, test):
+            space[edges] = np.where(held[:, None, :], 0.0, space[edges])
     return BubbleSpaces(trial, test)
 
 

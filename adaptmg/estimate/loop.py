@@ -333,8 +333,7 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     reference = discrete.contact.slip_reference
     if k > 0:
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
-    step = discrete.with_step(loads.load(factors), loads.fixed_values(factors), reference, loads.strain_free(factors))
-    posed = finest.posing(discrete=step)
+    posed = finest.posing(discrete=loads.step(discrete, factors, reference))
     return replace(hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors))
 
 

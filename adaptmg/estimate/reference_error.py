@@ -22,6 +22,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.loads import load_vector, supported_stiffness
+from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.supports import boundary_supports, supported_nodes
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.estimate.stress_fields import posed
@@ -74,7 +75,7 @@ class Reference:
         if own_error is None:
             own_error = Recovery().indicate(hierarchy, result).total
         mesh, points, on_body, constants = this.mesh, {}, {}, {}
-        forces = _exerted(this.discrete.fixed.reshape(-1, mesh.dim), result)
+        forces = _exerted(this.discrete, result)
         prescribed = _constants(this.problem, mesh)
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
@@ -140,13 +141,17 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
                        reference.own_error)
 
 
-def _exerted(fixed: np.ndarray, result: Result) -> np.ndarray:
+def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
     """Forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's residual is cut."""
     contact, forces = result.contact, np.zeros_like(result.reaction)
     forces[contact.node] = contact.force
     np.add.at(forces, contact.master_node, contact.master_force)
     # a support bears what contact does not, whatever both exert at one node
-    return np.where(fixed, result.reaction, forces)
+    forces = np.where(discrete.fixed.reshape(forces.shape), result.reaction, forces)
+    if discrete.inclined is not None:
+        borne = discrete.inclined.free_part(np.arange(len(forces)), result.reaction - forces)
+        forces += result.reaction - forces - borne
+    return forces
 
 
 def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:

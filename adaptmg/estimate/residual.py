@@ -31,7 +31,7 @@ from adaptmg._numba import kernel
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import displacement_gradient
-from adaptmg.discrete.supports import boundary_supports
+from adaptmg.discrete.supports import held_directions
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, Posed, contact_tractions, posed
 from adaptmg.geometry.quadrature import quadrature_points
@@ -79,7 +79,7 @@ def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     mesh, stress, near = this.mesh, this.stress, this.neighbours
     touching = contact_tractions(mesh, this.result.contact, stress.axisymmetric)
     plain, contact = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
-    supports = boundary_supports(mesh, this.problem.supports)
+    supports = held_directions(mesh, this.problem.supports)
     for k, name in enumerate(mesh.boundaries):
         here = mesh.facet_labels == k
         outside = near.outer[here]
@@ -99,9 +99,8 @@ def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
             if isinstance(spring, Spring) and spring.boundary == name:
                 stiffness = foundation(spring, quadrature_points(mesh.points, facets, rule), normals)
                 residual -= np.einsum("fqij,qk,fkj->fqi", stiffness, rule, this.result.displacement[facets])
-        for support in supports:
-            if support.boundary == name:
-                residual[:, :, [part is not None for part in support.components(mesh.dim)]] = 0.0
+        held = supports.get(name, np.empty((0, mesh.dim)))
+        residual -= residual @ held.T @ held
         sizes = surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures)
         squares = sizes / this.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
         into = contact if name in touching else plain

@@ -321,7 +321,8 @@ def support_text(support: loads.AnySupport, dim: int, axes: str = "xyz") -> str:
         return "springs " + ", ".join(f"{name} {_value(getattr(support, name), unit)}" for name in names
                                       if callable(getattr(support, name)) or getattr(support, name))
     values: dict[str, list[str]] = {}
-    for axis, value in zip(axes, support.components(dim), strict=False):
+    along = (*zip(axes, support.components(dim), strict=False), ("n", getattr(support, "normal", None)))
+    for axis, value in along:
         if value is not None:
             values.setdefault("0" if value == 0 else _value(value, "m"), []).append(f"$u_{axis}$")
     return ", ".join(f"{' = '.join(names)} = {value}" for value, names in values.items())

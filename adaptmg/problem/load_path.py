@@ -107,7 +107,8 @@ def name_in_path(item: Load | AnySupport) -> str:
 
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
     """Names of all loads and of the supports that prescribe a displacement other than zero, each once."""
-    moved = [s for s in problem.supports if any(s.components(problem.dim))]
+    moved = [s for s in problem.supports
+             if any(s.components(problem.dim)) or (isinstance(s, Support) and s.normal)]
     bodies = {name_in_path(load) for load in problem.loads if isinstance(load, _OF_BODIES)}
     rest = [name_in_path(item) for item in (*problem.loads, *moved) if not isinstance(item, _OF_BODIES)]
     for name in rest:
@@ -180,7 +181,8 @@ def _check_names(what: str, factors: Mapping[str, object], names: tuple[str, ...
                              f"than zero; known are {', '.join(map(repr, names)) or 'none'}")
 
 
-def _times(value: Field | None, factor: float) -> Field | None:
+def times(value: Field | None, factor: float) -> Field | None:
+    """A number or function of position times a factor."""
     if value is None or factor == 1.0:
         return value
     return Scaled(value, factor) if callable(value) else factor * value
@@ -188,11 +190,12 @@ def _times(value: Field | None, factor: float) -> Field | None:
 
 def _load(load: Load, factor: float) -> Load:
     if isinstance(load, Pressure):
-        return replace(load, value=_times(load.value, factor))
-    return replace(load, components=tuple(_times(value, factor) for value in load.components))
+        return replace(load, value=times(load.value, factor))
+    return replace(load, components=tuple(times(value, factor) for value in load.components))
 
 
 def _support(support: AnySupport, factor: float) -> AnySupport:
     if not isinstance(support, Support | PointSupport):
         return support
-    return replace(support, **{axis: _times(getattr(support, axis), factor) for axis in "xyz"})
+    names = ("x", "y", "z", "normal") if isinstance(support, Support) else ("x", "y", "z")
+    return replace(support, **{name: times(getattr(support, name), factor) for name in names})

@@ -252,10 +252,9 @@ class _Prescribes(_Holds):
     z: FieldLike | None
 
     def _check(self) -> None:
-        for name in "xyz":
-            if getattr(self, name) is not None:
-                checks.convert(self, checks.function_or, name)
-        if self.x is None and self.y is None and self.z is None:
+        names = [name for name in ("x", "y", "z", "normal") if getattr(self, name, None) is not None]
+        checks.convert(self, checks.function_or, *names)
+        if not names:
             raise ValueError(f"support on {self.place!r} fixes nothing: give x, y or z a displacement in m")
 
     def components(self, dim: int) -> tuple[FieldLike | None, ...]:
@@ -296,17 +295,21 @@ class Support(_Prescribes):
         Name of the boundary.
     x, y, z : float, callable or None
         Prescribed displacement, m; a function of position is taken at the nodes.
+    normal : float, callable or None
+        Prescribed displacement along the outward normal of the boundary, which must be plane, in any direction, m.
 
     Examples
     --------
     >>> am.Support("right", x=0).x
     0.0
+    >>> roller = am.Support("slope", normal=0)                         # it slides along the slope
     """
 
     boundary: str
     x: FieldLike | None = None
     y: FieldLike | None = None
     z: FieldLike | None = None
+    normal: FieldLike | None = None
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
@@ -320,7 +323,7 @@ class Symmetry(_Holds):
     Parameters
     ----------
     boundary : str
-        Name of the boundary, which must be plane and normal to a coordinate axis.
+        Name of the boundary, which must be plane, in any direction.
 
     Examples
     --------

@@ -224,6 +224,8 @@ class Evidence:
             moved = moved - rows @ self.u
             for at, weights, c in problem.held_together():
                 moved[at, c] = self.u[self.nodes[at], c] - weights @ self.u[:, c]
+        if problem.inclined is not None:
+            moved = problem.inclined.free_part(self.nodes, moved)
         u_n = np.einsum("nd,nd->n", moved, self.normals)
         # a load step changes the reference of the nodes in the equations
         along = moved - problem.contact.slip_reference * self.sigma[:, None]

@@ -107,7 +107,10 @@ class Examiner:
         natural = self._residual(solved, residual)
         checked = certify(discrete, displacement, contact, known=(residual, energy, diagonal), rtol=rtol)
         # in place: long vectors are what limits the size of a problem
-        reaction = discrete.physical_forces(np.negative(residual, out=residual)).reshape(nodal.shape)
+        np.negative(residual, out=residual)
+        if discrete.inclined is not None:
+            residual += discrete.inclined.reaction(solved)
+        reaction = discrete.physical_forces(residual).reshape(nodal.shape)
         found = Examined(displacement, reaction, contact, natural, checked)
         self._last = solved, found
         return found

@@ -450,8 +450,7 @@ class PathLoop:
                 problem, reference = level.discrete, level.discrete.contact.slip_reference
                 if self.past.given:
                     reference = problem.at_contact(self.past.levels[number - offset])
-                step = problem.with_step(loads.load(factors), loads.fixed_values(factors), reference,
-                                         loads.strain_free(factors))
+                step = loads.step(problem, factors, reference)
                 if places:
                     step = moved(step, self.controls.problem, level.mesh, places, self.controls.places)
                 level = level.posing(discrete=step)

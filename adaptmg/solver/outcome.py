@@ -22,7 +22,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import held_components
+from adaptmg.discrete.supports import held_directions
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.certificate import Certificate
@@ -134,7 +134,7 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
         found = examiner(np.array(outcome.displacement), outcome.rtol)
     mesh, problem, supports, springs = cast("Any", grids.finest.mesh_or_none), grids.problem, {}, {}
     if problem is not None and grids.finest.mesh_or_none is not None:
-        supports = held_components(mesh, problem.supports)
+        supports = {name: rows.tolist() for name, rows in held_directions(mesh, problem.supports).items()}
         springs = spring_resultants(mesh, problem.supports, found.displacement, problem.axisymmetric)
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}

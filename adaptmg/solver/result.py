@@ -89,8 +89,8 @@ class Result:
         Material constants and initial strains, for :meth:`stress`; None for a bare DiscreteProblem.
     checked : Certificate or None
         The certificate of the solve.
-    supports : dict of str to str
-        By boundary the components that supports hold, such as "xy"; empty for a bare DiscreteProblem.
+    supports : dict of str to list of list of float
+        By boundary the directions along which supports hold it; empty for a bare DiscreteProblem.
     springs : dict of str to list of float
         By boundary, or "point (0, 1)", the force (dim) that springs exert on the bodies, N, and its moment about the
         origin, N m.
@@ -130,7 +130,7 @@ class Result:
     versions: dict[str, str] = field(default_factory=dict)
     stress_data: StressData | None = None
     checked: Certificate | None = None
-    supports: dict[str, str] = field(default_factory=dict)
+    supports: dict[str, list[list[float]]] = field(default_factory=dict)
     fallback: str = ""
     choice: str = ""
     springs: dict[str, list[float]] = field(default_factory=dict)
@@ -421,19 +421,21 @@ class Result:
         nodes, of_contact = self.mesh.boundary_nodes(boundary), np.zeros_like(self.reaction)
         of_contact[c.node] = c.force
         np.add.at(of_contact, c.master_node, c.master_force)
-        return nodes, self._share(boundary)[nodes] * (self.reaction - of_contact)[nodes]
+        return nodes, np.einsum("nij,nj->ni", self._share(boundary, nodes), (self.reaction - of_contact)[nodes])
 
-    def _share(self, boundary: str) -> np.ndarray:
-        """The part of each reaction (n_nodes, dim) that the support on a boundary carries."""
-        own, total = np.zeros_like(self.reaction), np.zeros_like(self.reaction)
-        for name, components in self.supports.items():
-            surface = self.mesh.surface(name)
-            at = np.bincount(surface.facets.ravel(), np.repeat(surface.measures, self.dim), minlength=len(total))
-            held = at[:, None] * [c in components for c in "xyz"[:self.dim]]
+    def _share(self, boundary: str, nodes: np.ndarray) -> np.ndarray:
+        """The part (n, dim, dim) of the reactions at some nodes that the support on a boundary carries: of several
+        supports that hold one direction the measures at the node decide."""
+        n, (own, total) = len(self.reaction), np.zeros((2, len(nodes), self.dim, self.dim))
+        for name, directions in self.supports.items():
+            surface, span = self.mesh.surface(name), np.array(directions).T @ np.array(directions)
+            at = np.bincount(surface.facets.ravel(), np.repeat(surface.measures, self.dim), minlength=n)
+            held = at[nodes, None, None] * span
             total += held
             if name == boundary:
                 own = held
-        return np.divide(own, total, out=np.ones_like(total), where=total > 0)
+        inverse = np.linalg.pinv(total, rcond=1e-10, hermitian=True)
+        return own @ inverse + np.eye(self.dim) - total @ inverse
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.store`."""

@@ -10,6 +10,7 @@ from saddle import Parts
 
 import adaptmg as am
 from adaptmg.discrete import fixed_dofs
+from adaptmg.discrete.supports import inclined_supports
 from adaptmg.mesh import structured
 from adaptmg.solver.statics import check_statics
 
@@ -111,7 +112,111 @@ test_refused = refused(
      "nearest one 0.05 m away"),
     (lambda: am.Hierarchy.graded(replace(on_springs(am.PlaneStress), domain=am.Cut(
         am.Rectangle(width=1, height=1), am.Circle((0.5, 0.5), 0.2)), supports=[am.Symmetry("circle")]), [0.2]),
-     "symmetry on 'circle': the boundary must be plane"))
+     "support on 'circle' holds its normal, and the boundary is not plane"),
+    (lambda: fixed_dofs(structured(am.Rectangle(width=1, height=1), 4), [am.Support("left", x=0, normal=0)]),
+     "prescribes x, which is its normal displacement, twice"),
+    (lambda: inclined_supports(sheared(2, 0)[0], [am.Support("left", normal=1e-3), am.Support("bottom", x=0, y=0)]),
+     "supports on 'bottom', 'left' contradict each other at their common node 0"))
+
+
+def sheared(dim, seed):
+    """Meshes of a parallelogram or parallelepiped in a random direction, a corner at the origin."""
+    rng = np.random.default_rng(seed)
+    turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
+    turn[0] *= np.linalg.det(turn)
+    matrix = 10.0 ** rng.uniform(-2, 1) * turn @ (np.eye(dim) + np.triu(rng.uniform(-0.7, 0.7, (dim, dim)), 1))
+    unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
+    meshes = [structured(unit, n) for n in ((2, 4) if dim == 3 else (2, 4, 8))]
+    return [replace(one, points=one.points @ matrix.T, source=None) for one in meshes]
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("dim", [2, 3])
+def test_inclined_rollers_carry_a_uniform_pressure_exactly(dim, seed):
+    """Under one pressure all around, a body between planes through the origin shrinks towards it."""
+    meshes = sheared(dim, seed)
+    young, nu, pressure = 1e7, 0.3, 1e3
+    sides, others = (("left", "bottom", "front"), ("top", "right", "back"))
+    problem = am.ContactProblem(
+        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=young, poisson=nu), law=FAR,
+        contact=am.Contact("top", am.GapFunction(lambda x: np.full(len(x), 1e3))),
+        loads=[am.Pressure(name, pressure) for name in others[:dim]],
+        supports=[am.Symmetry("left"), *(am.Support(name, normal=0) for name in sides[1:dim])])
+    grids = am.Hierarchy.from_meshes(problem, meshes)
+    shrinks = pressure * (1 - 2 * nu) * (1 if dim == 3 else 1 + nu) / young
+    for method in (am.Multigrid(rtol=1e-11), am.FullMultigrid(rtol=1e-11), EXACT):
+        result = am.solve(grids, method)
+        np.testing.assert_allclose(result.displacement, -shrinks * meshes[-1].points, atol=1e-9 * shrinks *
+                                   np.abs(meshes[-1].points).max())
+    for name in sides[:dim]:
+        surface = meshes[-1].surface(name)
+        np.testing.assert_allclose(result.resultant(name).force, -pressure * surface.vectors.sum(axis=0),
+                                   atol=1e-6 * pressure * surface.measures.sum())
+    assert am.Residual().indicate(grids, result).relative < 1e-6
+    assert am.Goal(am.MeanDisplacement("top", 0)).indicate(grids, result).relative < 1e-6
+
+
+def pressed(dim, **changes):
+    """A block between two planes of symmetry that is pressed and pushed on an obstacle."""
+    names = "left", *["front"] * (dim == 3)
+    bottom = np.eye(dim)[-1]
+    problem = am.ContactProblem(
+        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=1e7, poisson=0.3), law=am.Coulomb(0.3),
+        contact=am.Contact("bottom", am.Plane(np.zeros(dim), bottom)), loads=(am.Pressure("right", -2e4),),
+        supports=(*map(am.Symmetry, names), am.Support("top", normal=-2e-3)))
+    return replace(problem, **changes)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("dim", [2, 3])
+def test_supports_along_normals_turn_with_the_body(dim, seed):
+    rng = np.random.default_rng(seed)
+    turn, shift = np.linalg.qr(rng.standard_normal((dim, dim)))[0], rng.uniform(-5, 5, dim)
+    turn[0] *= np.linalg.det(turn)
+    unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
+    meshes = [structured(unit, n) for n in (2, 4)]
+    straight = am.Hierarchy.from_meshes(pressed(dim), meshes)
+    turned = am.Hierarchy.from_meshes(
+        pressed(dim, contact=am.Contact("bottom", am.Plane(shift, turn[:, -1]))),
+        [replace(one, points=one.points @ turn.T + shift, source=None) for one in meshes])
+    path = am.LoadPath({"top": [1.0, 1.0, 0.5], "right": [0.0, 1.0, 0.5]})
+    one, other = (am.solve_path(grids, path, EXACT) for grids in (straight, turned))
+    steps = [am.solve_path(turned, path, method) for method in (am.Multigrid(rtol=1e-10), am.FullMultigrid())]
+    for k in range(3):
+        size = np.abs(one[k].displacement).max()
+        np.testing.assert_allclose(other[k].displacement @ turn, one[k].displacement, atol=1e-8 * size)
+        np.testing.assert_array_equal(other[k].contact.state, one[k].contact.state)
+        for path_of in steps:
+            np.testing.assert_allclose(path_of[k].displacement, other[k].displacement, atol=1e-6 * size)
+        for name in ("left", "top", "bottom"):
+            force = one[k].resultant(name).force
+            np.testing.assert_allclose(other[k].resultant(name).force @ turn, force, atol=1e-5 * np.linalg.norm(force))
+        estimates = [am.Residual().indicate(replace(grids, problem=am.problem.step_problem(
+            grids.problem, {name: path.factors[name][k] for name in path.factors})), found[k]).total
+            for grids, found in ((straight, one), (turned, other))]
+        assert estimates[0] == pytest.approx(estimates[1], rel=1e-5)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_pairs_between_inclined_planes_of_symmetry_turn_with_the_bodies(dim):
+    box, sides = (am.Box, ("left", "front", "bottom")) if dim == 3 else (am.Rectangle, ("left", "bottom"))
+    parts = {name: box(origin=(*[0.0] * (dim - 1), low), width=wide, height=0.5, **({"depth": 1.0} if dim == 3 else {}))
+             for name, low, wide in (("upper", 0.0, 1.0), ("lower", -0.5, 1.5))}
+    problem = pressed(dim, contact=am.ContactPair("upper.bottom", "lower.top"), supports=tuple(
+        am.Symmetry(f"{body}.{side}") for body in parts for side in sides if (body, side) != ("upper", "bottom")),
+        loads=(am.Pressure("upper.top", 1e4), am.Pressure("upper.right", -3e3)))
+    meshes = [structured(am.Assembly(parts=parts), {"upper": n, "lower": n + 1}) for n in (2, 4)]
+    turn = np.linalg.qr(np.random.default_rng(dim).standard_normal((dim, dim)))[0]
+    turn[0] *= np.linalg.det(turn)
+    one, grids = (am.Hierarchy.from_meshes(problem, [replace(mesh, points=mesh.points @ each.T, source=None)
+                                                     for mesh in meshes]) for each in (np.eye(dim), turn))
+    expected, found = am.solve(one, EXACT), am.solve(grids, EXACT)
+    size = np.abs(expected.displacement).max()
+    np.testing.assert_allclose(found.displacement @ turn, expected.displacement, atol=1e-10 * size)
+    np.testing.assert_allclose(am.solve(grids, am.Multigrid(rtol=1e-9)).displacement, found.displacement,
+                               atol=1e-6 * size)
+    for name in ("upper.left", "lower.bottom", "lower.top"):
+        np.testing.assert_allclose(found.resultant(name).force @ turn, expected.resultant(name).force, atol=1e-4)
 
 
 def clamped_beam(gap, seed, sinks=0.0):

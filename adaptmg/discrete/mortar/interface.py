@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
+from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.mesh.arrays import Surface
 
 NEVER_FACING = "the surfaces never face each other"
@@ -105,10 +106,10 @@ def nothing_covered(covered: np.ndarray, reach: float | None, facet: str) -> str
 _SYMMETRY_TILT = np.cos(np.pi / 6)  # normals within 30 degrees of a plane of symmetry are put into it
 
 
-def slave_normals(slave: Surface, fixed: np.ndarray) -> np.ndarray:
-    """Average normals (n_nodes, dim) without their components along fixed directions, where these are small."""
+def slave_normals(slave: Surface, held: HeldNodes) -> np.ndarray:
+    """Average normals (n_nodes, dim) without their components along what supports hold, where these are small."""
     normals, nodes = slave.node_normals.copy(), slave.nodes
-    inside = np.where(fixed[nodes], 0.0, normals[nodes])
+    inside = held.free_part(nodes, normals[nodes])
     lengths = np.linalg.norm(inside, axis=1)
     tilted = lengths > _SYMMETRY_TILT
     normals[nodes[tilted]] = inside[tilted] / lengths[tilted, None]

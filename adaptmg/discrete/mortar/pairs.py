@@ -24,6 +24,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.mortar.interface import NEVER_FACING, MortarInterface, Surfaces, slave_normals
 from adaptmg.discrete.mortar.segments import mortar_2d
 from adaptmg.discrete.mortar.triangles import mortar_3d
@@ -35,7 +36,7 @@ _LEAST_COVERED = 0.25  # of the part of a slave node
 _OFFSET = 1e-2  # of the shortest edge at a slave node: how far off its normal its partner may lie
 
 
-def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, excluded: np.ndarray,
+def pair_interface(mesh: MeshArrays, pair: ContactPair, *, held: HeldNodes, excluded: np.ndarray,
                    axisymmetric: bool) -> MortarInterface:
     """The interface of a pair."""
     slave, master = mesh.surface(pair.slave), mesh.surface(pair.master)
@@ -44,7 +45,7 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, fixed: np.ndarray, ex
         return MortarInterface(slave.nodes[:0], np.empty((0, mesh.dim)), np.empty(0), np.empty(0), nothing, np.empty(0))
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
-        surfaces = Surfaces(slave, master, slave_normals(slave, fixed), excluded, axisymmetric)
+        surfaces = Surfaces(slave, master, slave_normals(slave, held), excluded, axisymmetric)
         found = _coupled(pair, surfaces)
         # slave nodes of which the master covers too little
         hanging = found.nodes[found.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[found.nodes]]
