@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
@@ -65,6 +66,8 @@ class Cracked(Domain):
     dim: ClassVar[int] = 2
 
     __repr__ = brief
+    if TYPE_CHECKING:
+        def __init__(self, domain: Domain, cracks: Mapping[str, ArrayLike]) -> None: ...
 
     def __post_init__(self) -> None:
         body = self.domain
