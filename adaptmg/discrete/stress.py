@@ -209,7 +209,7 @@ class StressData:
 
 def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
                 ) -> np.ndarray:
-    """Cauchy stress tensors (n_elements, 3, 3), Pa, tension positive, with the stress out of the plane.
+    """Cauchy stress tensors (n_elements, 3, 3) of linear elements, Pa, tension positive, with that out of the plane.
 
     In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress; the shear stresses out of
     the plane are 0. The displacement is (n_nodes, dim) or (n_dofs,), m; initial strains among the loads carry no

@@ -222,9 +222,10 @@ class Result:
             All elements (recovered: centroids), all nodes, or points, m. A point on an edge belongs to one of the
             elements there, a node that two bodies share to the body named first.
         recovered : bool
-            False: the stress of the displacement, constant on each element (with the mean hoop strain); nodes have
-            none. True: continuous in each body and linear on elements, fitted around each node (Zienkiewicz and Zhu):
-            more accurate where the solution is smooth, too smooth where it is not.
+            False: the stress of the displacement, constant on each element (with the mean hoop strain; of smoothed
+            elements from the means around edges); nodes have none. True: continuous in each body and linear on
+            elements, fitted around each node (Zienkiewicz and Zhu): more accurate where the solution is smooth, too
+            smooth where it is not.
 
         Returns
         -------
