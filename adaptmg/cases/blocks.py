@@ -15,36 +15,16 @@ import math
 
 import numpy as np
 
+import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.problem import (
-    Assembly,
-    BodyForce,
-    Box,
-    Contact,
-    ContactPair,
-    ContactProblem,
-    Coulomb,
-    Domain,
-    Extrusion,
-    Frictionless,
-    GapFunction,
-    Law,
-    PlaneStrain,
-    Polygon,
-    Pressure,
-    Rectangle,
-    Solid,
-    Support,
-    Traction,
-    Tresca,
-)
+from adaptmg.problem import Domain, Law
 
 _STEEPEST = 30.0
 
 
-def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0, pressure: float = 1e8,  # noqa: B008
+def two_block_patch(*, law: Law = am.Coulomb(0.5), dim: int = 2, slope: float = 0.0, pressure: float = 1e8,  # noqa: B008
                     side_pressure: float = 0.0, young: float = 2.1e11, poisson: float = 0.3, size: float = 0.1
-                    ) -> ContactProblem:
+                    ) -> am.ContactProblem:
     """Pose two blocks of one material, one on the other, under uniform stress: the patch test of contact.
 
     Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons, or
@@ -89,63 +69,65 @@ def two_block_patch(*, law: Law = Coulomb(0.5), dim: int = 2, slope: float = 0.0
                                  "sources": {"pressure": "uniform stress (patch test), exact on every mesh"}}
     parts = _sloping(dim, math.tan(turn), size) if slope else _flat(dim, size)
     loads, supports = _held(dim, bool(slope), pressure, side_pressure)
-    material = (PlaneStrain if dim == 2 else Solid)(young=young, poisson=poisson)
-    pair = ContactPair("upper.interface", "lower.interface") if slope else ContactPair("upper.bottom", "lower.top")
-    return ContactProblem(name=f"two blocks, {dim}D", material=material, domain=Assembly(parts=parts), contact=pair,
-                          law=law, loads=loads, supports=supports, reference=reference)
+    material = (am.PlaneStrain if dim == 2 else am.Solid)(young=young, poisson=poisson)
+    pair = ("upper.interface", "lower.interface") if slope else ("upper.bottom", "lower.top")
+    return am.ContactProblem(
+        name=f"two blocks, {dim}D", material=material, domain=am.Assembly(parts=parts), law=law,
+        contact=am.ContactPair(*pair), loads=loads, supports=supports, reference=reference)
 
 
 def _bound(law: Law, normal: float) -> float:
     """The largest tangential traction at a pressure; infinity where the parameters of the law vary in space."""
-    value = (0.0 if isinstance(law, Frictionless) else law.friction if isinstance(law, Coulomb) else
-             law.limit if isinstance(law, Tresca) else np.inf)
+    value = (0.0 if isinstance(law, am.Frictionless) else law.friction if isinstance(law, am.Coulomb) else
+             law.limit if isinstance(law, am.Tresca) else np.inf)
     if callable(value) or np.ndim(value):
         return np.inf
-    return float(value) * (normal if isinstance(law, Coulomb) else 1.0)
+    return float(value) * (normal if isinstance(law, am.Coulomb) else 1.0)
 
 
 def _flat(dim: int, size: float) -> dict[str, Domain]:
     if dim == 2:
-        return {"upper": Rectangle(width=size, height=size),
-                "lower": Rectangle(width=size, height=size, origin=(0.0, -size))}
-    return {"upper": Box(width=size, depth=size, height=size),
-            "lower": Box(width=size, depth=size, height=size, origin=(0.0, 0.0, -size))}
+        return {"upper": am.Rectangle(width=size, height=size),
+                "lower": am.Rectangle(width=size, height=size, origin=(0.0, -size))}
+    return {"upper": am.Box(width=size, depth=size, height=size),
+            "lower": am.Box(width=size, depth=size, height=size, origin=(0.0, 0.0, -size))}
 
 
 def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
     """Profiles with an interface through (size / 2, 0); the walls x = 0 are held at a distance from it."""
     left, right = -0.5 * tangent * size, 0.5 * tangent * size
-    lower = Polygon(vertices=((0.0, -size), (size, -size), (size, right), (0.0, left), (0.0, -0.6 * size)),
+    lower = am.Polygon(vertices=((0.0, -size), (size, -size), (size, right), (0.0, left), (0.0, -0.6 * size)),
                     boundaries=("foot", "right", "interface", "shoulder", "left"))
-    upper = Polygon(vertices=((0.0, left), (size, right), (size, size), (0.0, size), (0.0, 0.6 * size)),
+    upper = am.Polygon(vertices=((0.0, left), (size, right), (size, size), (0.0, size), (0.0, 0.6 * size)),
                     boundaries=("interface", "right", "head", "left", "shoulder"))
     if dim == 2:
         return {"upper": upper, "lower": lower}
-    return {"upper": Extrusion(upper, size), "lower": Extrusion(lower, size)}
+    return {"upper": am.Extrusion(upper, size), "lower": am.Extrusion(lower, size)}
 
 
-def _held(dim: int, sloping: bool, pressure: float, side: float) -> tuple[list[Pressure], list[Support]]:
+def _held(dim: int, sloping: bool, pressure: float, side: float) -> tuple[list[am.Pressure], list[am.Support]]:
     if sloping:
-        walls, head, foot, depth = ("right", "shoulder"), "upper.head", Support("lower.foot", y=0.0), ("bottom", "top")
+        walls, head, depth = ("right", "shoulder"), "upper.head", ("bottom", "top")
+        foot = am.Support("lower.foot", y=0.0)
     elif dim == 2:
-        walls, head, foot, depth = ("right",), "upper.top", Support("lower.bottom", y=0.0), ("", "")
+        walls, head, foot, depth = ("right",), "upper.top", am.Support("lower.bottom", y=0.0), ("", "")
     else:
-        walls, head, foot, depth = ("right",), "upper.top", Support("lower.bottom", z=0.0), ("front", "back")
-    loads, supports = [Pressure(head, pressure)], [foot]
+        walls, head, foot, depth = ("right",), "upper.top", am.Support("lower.bottom", z=0.0), ("front", "back")
+    loads, supports = [am.Pressure(head, pressure)], [foot]
     for body in ("upper", "lower"):
-        supports.append(Support(f"{body}.left", x=0.0))
-        loads += [Pressure(f"{body}.{wall}", side) for wall in walls if side]
+        supports.append(am.Support(f"{body}.left", x=0.0))
+        loads += [am.Pressure(f"{body}.{wall}", side) for wall in walls if side]
         if dim == 3:
-            supports.append(Support(f"{body}.{depth[0]}", **{"z" if sloping else "y": 0.0}))
-            loads += [Pressure(f"{body}.{depth[1]}", side)] if side else []
+            supports.append(am.Support(f"{body}.{depth[0]}", **{"z" if sloping else "y": 0.0}))
+            loads += [am.Pressure(f"{body}.{depth[1]}", side)] if side else []
     return loads, supports
 
 
 _GRAVITY = 9.80665
 
 
-def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1, height: float = 0.05,  # noqa: B008
-            density: float = 2000.0, young: float = 1e9, poisson: float = 0.3) -> ContactProblem:
+def incline(*, law: Law = am.Coulomb(0.5), angle: float = 20.0, width: float = 0.1, height: float = 0.05,  # noqa: B008
+            density: float = 2000.0, young: float = 1e9, poisson: float = 0.3) -> am.ContactProblem:
     """Pose a block on a tilted elastic slab under its own weight; plane strain.
 
     The block of weight W presses on the slab with W cos(angle) and pulls down it with W sin(angle): it rests if and
@@ -187,29 +169,29 @@ def incline(*, law: Law = Coulomb(0.5), angle: float = 20.0, width: float = 0.1,
         "quantity": "resultant contact force on the block, N/m", "weight": weight,
         "force_n": weight * math.cos(math.radians(angle)), "force_t": weight * math.sin(math.radians(angle)),
         "sources": {"force_n": "equilibrium", "force_t": "equilibrium"}}
-    if isinstance(law, Coulomb) and not callable(law.friction) and np.ndim(law.friction) == 0:
+    if isinstance(law, am.Coulomb) and not callable(law.friction) and np.ndim(law.friction) == 0:
         reference["holds"] = slope <= law.friction
-    return ContactProblem(
-        name="block on an incline", material=PlaneStrain(young=young, poisson=poisson),
-        domain=Assembly(parts={
+    return am.ContactProblem(
+        name="block on an incline", material=am.PlaneStrain(young=young, poisson=poisson),
+        domain=am.Assembly(parts={
             "block": _tilted(-width / 2, 0.0, width, height, angle, ("bottom", "uphill", "top", "downhill")),
             "slab": _tilted(-width, -height, 2 * width, height, angle, ("bottom", "right", "top", "left"))}),
-        contact=ContactPair("block.bottom", "slab.top"), law=law,
-        loads=(BodyForce((0.0, -density * _GRAVITY), body="block"),), supports=(Support("slab.bottom", x=0.0, y=0.0),),
-        reference=reference)
+        contact=am.ContactPair("block.bottom", "slab.top"), law=law,
+        loads=(am.BodyForce((0.0, -density * _GRAVITY), body="block"),),
+        supports=(am.Support("slab.bottom", x=0.0, y=0.0),), reference=reference)
 
 
-def _tilted(x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]) -> Polygon:
+def _tilted(x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]) -> am.Polygon:
     c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     corners = ((x, y), (x + width, y), (x + width, y + height), (x, y + height))
-    return Polygon(vertices=tuple((c * p - s * q, s * p + c * q) for p, q in corners), boundaries=names)
+    return am.Polygon(vertices=tuple((c * p - s * q, s * p + c * q) for p, q in corners), boundaries=names)
 
 
 _LENGTH, _WIDTH = 0.1, 0.02
 
 
-def leaning_strut(*, law: Law = Coulomb(0.6), angle: float = 20.0, traction: float = 3e6,  # noqa: B008
-                  direction: float = 4.5, young: float = 2e11, poisson: float = 0.3) -> ContactProblem:
+def leaning_strut(*, law: Law = am.Coulomb(0.6), angle: float = 20.0, traction: float = 3e6,  # noqa: B008
+                  direction: float = 4.5, young: float = 2e11, poisson: float = 0.3) -> am.ContactProblem:
     """Pose a strut, 100 mm long and 20 mm thick, that leans on a rigid plane: one load has three equilibria.
 
     Its foot is so curved that one node touches. Along its axis it is stiff, across it soft, so that a force along the
@@ -238,12 +220,12 @@ def leaning_strut(*, law: Law = Coulomb(0.6), angle: float = 20.0, traction: flo
     traction, direction = checks.number("traction", traction), checks.number("direction", direction)
     along = _LENGTH * np.array([math.sin(math.radians(angle)), math.cos(math.radians(angle))])
     corners = np.array([[0.0, 0.0], [_WIDTH, 0.0], [_WIDTH + along[0], along[1]], along])
-    return ContactProblem(
-        name="leaning strut", law=law, material=PlaneStrain(young=young, poisson=poisson),
-        domain=Polygon(vertices=tuple(map(tuple, corners.tolist())), boundaries=("foot", "right", "head", "left")),
-        contact=Contact("foot", GapFunction(_curved)),
-        loads=(Traction("right", (traction * math.cos(direction), traction * math.sin(direction))),),
-        supports=(Support("head", x=0.0, y=0.0),))
+    return am.ContactProblem(
+        name="leaning strut", law=law, material=am.PlaneStrain(young=young, poisson=poisson),
+        domain=am.Polygon(vertices=tuple(map(tuple, corners.tolist())), boundaries=("foot", "right", "head", "left")),
+        contact=am.Contact("foot", am.GapFunction(_curved)),
+        loads=(am.Traction("right", (traction * math.cos(direction), traction * math.sin(direction))),),
+        supports=(am.Support("head", x=0.0, y=0.0),))
 
 
 def _curved(points: np.ndarray) -> np.ndarray:

@@ -22,24 +22,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.problem import (
-    Assembly,
-    Axisymmetric,
-    ContactPair,
-    ContactProblem,
-    Coulomb,
-    Elastic,
-    Frictionless,
-    InitialStrain,
-    Law,
-    Polygon,
-    Pressure,
-    Solid,
-    Support,
-    Traction,
-)
-from adaptmg.problem.solid_domains import Cut, Cylinder, Fuse, Revolution, SolidDomain
+from adaptmg.problem import Elastic, Law
+from adaptmg.problem.solid_domains import SolidDomain
 
 _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
            "nothing published stands behind them.")
@@ -62,7 +48,7 @@ class _Friction:
 
 
 def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4e6, friction: float = 0.2,
-                    flanges: Flanges | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+                    flanges: Flanges | None = None, young: float = 2.1e11, poisson: float = 0.3) -> am.ContactProblem:
     """Pose two vessels bolted together, under internal pressure.
 
     Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first contact
@@ -98,7 +84,7 @@ def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4
         flanges = Flanges() if dim == 2 else Flanges(n_bolts=8, diameter=0.034)
     checks.instance("flanges", flanges, Flanges)
     preload, pressure = checks.quantity("preload", preload, positive=True), checks.quantity("pressure", pressure)
-    material = (Axisymmetric if dim == 2 else Solid)(young=young, poisson=poisson)
+    material = (am.Axisymmetric if dim == 2 else am.Solid)(young=young, poisson=poisson)
     usual = dim == 2 and (preload, pressure, friction, flanges, young, poisson) == (
         2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)
     reference: dict[str, object] = {"remark": _REMARK, "flanges": flanges, "pressure": pressure,
@@ -107,17 +93,17 @@ def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4
         reference |= {"values": dict(_VALUES), "sources": {
             "values": "mesh convergence of this case: contact edges of 1, 0.5 and 0.25 mm"}}
     model = _Model(flanges, material, flanges.shortening(preload, material.young, dim))
-    return ContactProblem(
+    return am.ContactProblem(
         name="bolted junction" if dim == 2 else "bolted junction, sector", material=model.materials(),
-        domain=Assembly(parts=model.parts), contact=model.pairs(), law=_law(friction, model),
+        domain=am.Assembly(parts=model.parts), contact=model.pairs(), law=_law(friction, model),
         loads=model.loads(pressure), supports=model.supports(), reference=reference)
 
 
 def _law(friction: float, model: _Model) -> Law:
     friction, heads = checks.nonnegative("friction", friction), 0.0 if model.dim == 2 else 0.2
     if heads == friction:
-        return Coulomb(friction) if friction else Frictionless()
-    return Coulomb(_Friction(friction, heads, 0.5 * min(model.flanges.upper, model.flanges.lower)))
+        return am.Coulomb(friction) if friction else am.Frictionless()
+    return am.Coulomb(_Friction(friction, heads, 0.5 * min(model.flanges.upper, model.flanges.lower)))
 
 
 @dataclass(frozen=True)
@@ -127,12 +113,12 @@ class _Model:
     flanges: Flanges
     material: Elastic
     shortening: float
-    parts: Mapping[str, Polygon | SolidDomain] = field(init=False)
+    parts: Mapping[str, am.Polygon | SolidDomain] = field(init=False)
 
     def __post_init__(self) -> None:
         f = self.flanges
         upper, lower = _flange_section(f, f.upper, self.dim), _mirrored(_flange_section(f, f.lower, self.dim))
-        parts: dict[str, Polygon | SolidDomain] = {"upper": upper, "lower": lower}
+        parts: dict[str, am.Polygon | SolidDomain] = {"upper": upper, "lower": lower}
         if self.dim == 2:
             parts["bolt"] = _ring_section(f)
         else:
@@ -153,28 +139,28 @@ class _Model:
         if self.dim == 3:
             return self.material
         # each bolt contracts towards its own axis, not towards that of the vessels
-        ring = Axisymmetric(young=self.material.young, poisson=0.0)
+        ring = am.Axisymmetric(young=self.material.young, poisson=0.0)
         return {"upper": self.material, "lower": self.material, "bolt": ring}
 
-    def pairs(self) -> tuple[ContactPair, ...]:
-        heads = [ContactPair(f"{name}.{side}_head", f"{side}.{'seat' if self.dim == 2 else 'face'}")
+    def pairs(self) -> tuple[am.ContactPair, ...]:
+        heads = [am.ContactPair(f"{name}.{side}_head", f"{side}.{'seat' if self.dim == 2 else 'face'}")
                  for name in self.bolts for side in ("upper", "lower")]
-        return (ContactPair("upper.joint", "lower.joint"), *heads)
+        return (am.ContactPair("upper.joint", "lower.joint"), *heads)
 
-    def loads(self, pressure: float) -> tuple[Pressure | Traction | InitialStrain, ...]:
+    def loads(self, pressure: float) -> tuple[am.Pressure | am.Traction | am.InitialStrain, ...]:
         f = self.flanges
         wall = math.pi * ((f.bore + f.wall)**2 - f.bore**2)
-        inside = tuple(Pressure(f"{side}.bore", pressure) for side in ("upper", "lower"))
-        end = Traction("upper.pipe", (0.0,) * (self.dim - 1) + (f.thrust(pressure) / wall,))
+        inside = tuple(am.Pressure(f"{side}.bore", pressure) for side in ("upper", "lower"))
+        end = am.Traction("upper.pipe", (0.0,) * (self.dim - 1) + (f.thrust(pressure) / wall,))
         strain = (0.0,) * (self.dim - 1) + (-self.shortening / f.clamped,)
-        return (*(InitialStrain(name, strain) for name in self.bolts), *inside, end)
+        return (*(am.InitialStrain(name, strain) for name in self.bolts), *inside, end)
 
-    def supports(self) -> tuple[Support, ...]:
+    def supports(self) -> tuple[am.Support, ...]:
         if self.dim == 2:
-            return (Support("lower.pipe", y=0.0),)
-        planes = [Support(f"{side}.{name}", **{axis: 0.0}) for side in ("upper", "lower")
+            return (am.Support("lower.pipe", y=0.0),)
+        planes = [am.Support(f"{side}.{name}", **{axis: 0.0}) for side in ("upper", "lower")
                   for name, axis in (("start", "y"), ("end", "x"))]
-        return (Support("lower.pipe", z=0.0), *planes)
+        return (am.Support("lower.pipe", z=0.0), *planes)
 
 
 # effective section A_m of what the bolts clamp, m^2, from solutions of the default geometry without pressure
@@ -262,7 +248,7 @@ class Flanges:
         return preload * self.clamped / young * (1 / self.bolt_area + 1 / _CLAMPED[dim])
 
 
-def _flange_section(flanges: Flanges, thickness: float, dim: int) -> Polygon:
+def _flange_section(flanges: Flanges, thickness: float, dim: int) -> am.Polygon:
     """The upper flange, the joint at z = 0."""
     f, wall = flanges, flanges.bore + flanges.wall
     # the seat of a ring is a little wider than its heads
@@ -271,23 +257,23 @@ def _flange_section(flanges: Flanges, thickness: float, dim: int) -> Polygon:
                                        ((f.bolt_circle - half, thickness), "face")]
     corners = [((f.bore, 0.0), "joint"), ((f.outer, 0.0), "rim"), ((f.outer, thickness), "face"), *seat,
                ((wall, thickness), "wall"), ((wall, f.length), "pipe"), ((f.bore, f.length), "bore")]
-    return Polygon(vertices=tuple(point for point, _ in corners), boundaries=tuple(name for _, name in corners))
+    return am.Polygon(vertices=tuple(point for point, _ in corners), boundaries=tuple(name for _, name in corners))
 
 
-def _mirrored(profile: Polygon) -> Polygon:
+def _mirrored(profile: am.Polygon) -> am.Polygon:
     vertices = tuple((r, -z) for r, z in reversed(profile.vertices))
     names = tuple(reversed(profile.boundaries))
-    return Polygon(vertices=vertices, boundaries=names[1:] + names[:1])
+    return am.Polygon(vertices=vertices, boundaries=names[1:] + names[:1])
 
 
-def _ring_section(flanges: Flanges) -> Polygon:
+def _ring_section(flanges: Flanges) -> am.Polygon:
     f, head, shank = flanges, 0.5 * flanges.seat, 0.5 * flanges.shank
     tip, top, low, end = f.upper + f.head_height, f.upper, -f.lower, -f.lower - f.head_height
     corners = [((-head, end), "tip"), ((head, end), "side"), ((head, low), "lower_head"), ((shank, low), "side"),
                ((shank, top), "upper_head"), ((head, top), "side"), ((head, tip), "tip"), ((-head, tip), "side"),
                ((-head, top), "upper_head"), ((-shank, top), "side"), ((-shank, low), "lower_head"),
                ((-head, low), "side")]
-    return Polygon(vertices=tuple((f.bolt_circle + r, z) for (r, z), _ in corners),
+    return am.Polygon(vertices=tuple((f.bolt_circle + r, z) for (r, z), _ in corners),
                    boundaries=tuple(name for _, name in corners))
 
 
@@ -300,11 +286,11 @@ def _bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
     return [(flanges.bolt_circle * math.cos(a), flanges.bolt_circle * math.sin(a)) for a in angles]
 
 
-def _drilled(profile: Polygon, flanges: Flanges, places: list[tuple[float, float]]) -> SolidDomain:
-    solid: SolidDomain = Revolution(profile, angle=90.0)
+def _drilled(profile: am.Polygon, flanges: Flanges, places: list[tuple[float, float]]) -> SolidDomain:
+    solid: SolidDomain = am.Revolution(profile, angle=90.0)
     reach = 2 * flanges.clamped
     for x, y in places:
-        solid = Cut(solid, Cylinder((x, y, -reach), (0.0, 0.0, 1.0), flanges.hole, 2 * reach), {"b.side": "hole"})
+        solid = am.Cut(solid, am.Cylinder((x, y, -reach), (0.0, 0.0, 1.0), flanges.hole, 2 * reach), {"b.side": "hole"})
     return solid
 
 
@@ -312,8 +298,9 @@ def _bolt_solid(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
     """A bolt: the shank reaches half into both heads, so that their undersides stay whole."""
     f, (x, y) = flanges, place
     inside = 0.5 * f.head_height
-    solid: SolidDomain = Cylinder((x, y, -f.lower - inside), (0.0, 0.0, 1.0), 0.5 * f.diameter, f.clamped + 2 * inside)
+    solid: SolidDomain = am.Cylinder((x, y, -f.lower - inside), (0.0, 0.0, 1.0), 0.5 * f.diameter,
+                                     f.clamped + 2 * inside)
     for name, z, axis in (("upper_head", f.upper, 1.0), ("lower_head", -f.lower, -1.0)):
-        head = Cylinder((x, y, z), (0.0, 0.0, axis), 0.5 * f.head_diameter, f.head_height)
-        solid = Fuse(solid, head, {"b.bottom": name, "b.top": "tip"})
+        head = am.Cylinder((x, y, z), (0.0, 0.0, axis), 0.5 * f.head_diameter, f.head_height)
+        solid = am.Fuse(solid, head, {"b.bottom": name, "b.top": "tip"})
     return solid

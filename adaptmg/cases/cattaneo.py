@@ -20,21 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg.cases.hertz import SLAVE_REACH, LineContact, block_contact, on_circle
-from adaptmg.problem import (
-    Assembly,
-    ContactPair,
-    ContactProblem,
-    Coulomb,
-    Law,
-    Outline,
-    PlaneStrain,
-    Polygon,
-    Pressure,
-    Support,
-    Traction,
-)
+from adaptmg.problem import Law
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +62,8 @@ class PartialSlip:
         return self.friction * (self.normal.pressure(x) - self.normal.peak * (c / a) * inner)
 
 
-def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 1.5e4, radius: float = 50e-3,  # noqa: B008
-             young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+def cattaneo(*, law: Law = am.Coulomb(0.3), load: float = 1e5, tangential: float = 1.5e4, radius: float = 50e-3,  # noqa: B008
+             young: float = 2.1e11, poisson: float = 0.3) -> am.ContactProblem:
     """Pose a cylinder on a block of the same material under a normal and a tangential load.
 
     Bodies and meshes are those of :func:`~adaptmg.cases.hertz.hertz_cylinder`; ``reference`` also holds, with a
@@ -106,33 +95,33 @@ def cattaneo(*, law: Law = Coulomb(0.3), load: float = 1e5, tangential: float = 
     2
     """
     radius = checks.quantity("radius", radius, positive=True)
-    material = PlaneStrain(young=young, poisson=poisson)
+    material = am.PlaneStrain(young=young, poisson=poisson)
     form = LineContact.of(load, radius, None, material)
     tangential = checks.nonnegative("tangential", tangential)
     reference = form.reference()
-    if isinstance(law, Coulomb) and not callable(law.friction) and np.ndim(law.friction) == 0:
+    if isinstance(law, am.Coulomb) and not callable(law.friction) and np.ndim(law.friction) == 0:
         slip = PartialSlip(normal=form, friction=float(law.friction), tangential=tangential)
         sources = {**reference["sources"], "partial_slip": "Cattaneo; Johnson, Contact Mechanics, section 7.2"}
         reference |= {"stick": slip.stick, "partial_slip": slip, "sources": sources}
-    return ContactProblem(
+    return am.ContactProblem(
         name="Cattaneo", material=material,
-        domain=Assembly(parts={"upper": _half_cylinder(radius, form.half_width),
+        domain=am.Assembly(parts={"upper": _half_cylinder(radius, form.half_width),
                                "lower": _whole_block(radius, form.half_width)}),
-        contact=ContactPair("upper.contact", "lower.contact"), law=law,
-        loads=(Pressure("lower.bottom", form.load / (2 * radius)),
-               Traction("upper.top", (tangential / (2 * radius), 0.0))),
-        supports=(Support("upper.top", y=0.0), Support("lower.left", x=0.0), Support("lower.right", x=0.0)),
+        contact=am.ContactPair("upper.contact", "lower.contact"), law=law,
+        loads=(am.Pressure("lower.bottom", form.load / (2 * radius)),
+               am.Traction("upper.top", (tangential / (2 * radius), 0.0))),
+        supports=(am.Support("upper.top", y=0.0), am.Support("lower.left", x=0.0), am.Support("lower.right", x=0.0)),
         reference=reference)
 
 
-def _half_cylinder(radius: float, a: float) -> Outline:
+def _half_cylinder(radius: float, a: float) -> am.Outline:
     (x, y), center = on_circle(radius, SLAVE_REACH * a), (0.0, radius)
-    return Outline(vertices=((-radius, radius), (-x, y), (0.0, 0.0), (x, y), (radius, radius)),
+    return am.Outline(vertices=((-radius, radius), (-x, y), (0.0, 0.0), (x, y), (radius, radius)),
                    boundaries=("side", "contact", "contact", "side", "top"),
                    arcs=dict.fromkeys(range(4), center))
 
 
-def _whole_block(size: float, a: float) -> Polygon:
+def _whole_block(size: float, a: float) -> am.Polygon:
     edge = block_contact(size, a)
-    return Polygon(vertices=((-size, -size), (size, -size), (size, 0.0), (edge, 0.0), (-edge, 0.0), (-size, 0.0)),
+    return am.Polygon(vertices=((-size, -size), (size, -size), (size, 0.0), (edge, 0.0), (-edge, 0.0), (-size, 0.0)),
                    boundaries=("bottom", "right", "top", "contact", "top", "left"))

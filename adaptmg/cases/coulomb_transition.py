@@ -26,16 +26,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.problem import Contact, ContactProblem, Coulomb, Plane, PlaneStrain, Rectangle, Support, Traction
 
 if TYPE_CHECKING:
     from adaptmg.estimate.reference_error import EnergyError
     from adaptmg.solver.result import Result
 
 
-def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign: str = "+",  # noqa: B008
-                       pressure: float = 1e8, young: float = 1.3e11, poisson: float = 0.2) -> ContactProblem:
+def coulomb_transition(*, law: am.Coulomb = am.Coulomb(0.5), kind: str = "open", sign: str = "+",  # noqa: B008
+                       pressure: float = 1e8, young: float = 1.3e11, poisson: float = 0.2) -> am.ContactProblem:
     """Pose a transition of contact states with its exact solution; plane strain.
 
     ``reference`` holds ``field`` (:class:`TransitionField`), ``exponent``, ``transition`` (0.0, m) and ``uniform_rate``
@@ -61,24 +61,25 @@ def coulomb_transition(*, law: Coulomb = Coulomb(0.5), kind: str = "open", sign:
     """
     checks.choice("kind", kind, ("open", "stick"))
     checks.choice("sign", sign, ("+", "-"))
-    if not isinstance(law, Coulomb) or callable(law.friction) or np.ndim(law.friction) or not 0 < law.friction <= 2:
+    if not isinstance(law, am.Coulomb) or callable(law.friction) or np.ndim(law.friction) or not 0 < law.friction <= 2:
         raise ValueError("law must be Coulomb(f) with a constant f above 0 and at most 2, got "
                          f"{checks.described(law)}")
     pressure = checks.quantity("pressure", pressure, positive=True)
-    field = _field(kind, sign == "+", float(law.friction), pressure, PlaneStrain(young=young, poisson=poisson))
+    field = _field(kind, sign == "+", float(law.friction), pressure, am.PlaneStrain(young=young, poisson=poisson))
     moved = [partial(_displaced, field, k) for k in (0, 1)]
-    return ContactProblem(
+    return am.ContactProblem(
         name=f"Coulomb transition, slip and {kind}, {sign}", material=field.material,
-        domain=Rectangle(width=2.0, height=1.0, origin=(-1.0, 0.0)),
-        contact=Contact("bottom", Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
-        loads=tuple(Traction(side, (0.0, partial(_sheared, field, normal)))
+        domain=am.Rectangle(width=2.0, height=1.0, origin=(-1.0, 0.0)),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
+        loads=tuple(am.Traction(side, (0.0, partial(_sheared, field, normal)))
                     for side, normal in (("left", -1.0), ("right", 1.0))),
-        supports=(Support("top", x=moved[0], y=moved[1]), Support("left", x=moved[0]), Support("right", x=moved[0])),
+        supports=(am.Support("top", x=moved[0], y=moved[1]), am.Support("left", x=moved[0]),
+                  am.Support("right", x=moved[0])),
         reference={"quantity": "displacement, m", "field": field, "exponent": field.exponent, "transition": 0.0,
                    "uniform_rate": 0.5, "sources": {"field": "eigenfunction of the half plane, exact"}})
 
 
-def _field(kind: str, away: bool, friction: float, pressure: float, material: PlaneStrain) -> TransitionField:
+def _field(kind: str, away: bool, friction: float, pressure: float, material: am.PlaneStrain) -> TransitionField:
     """The mode with a sign, a size and a uniform part that make all states admissible."""
     a, b, _ = transition_mode(kind, friction, material.poisson, away)
     exponent, direction = transition_exponent(friction, material.poisson, away), 1.0 if away else -1.0
@@ -122,7 +123,7 @@ def transition_mode(kind: str, friction: float, poisson: float, away: bool) -> t
 class TransitionField:
     """Displacement, its gradient and stress of one field; functions of position (n, 2), m, y >= 0."""
 
-    material: PlaneStrain
+    material: am.PlaneStrain
     exponent: float  # lambda
     a: complex  # coefficients of the potentials, Pa m^(1 - lambda)
     b: complex

@@ -23,19 +23,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.problem import (
-    Assembly,
-    ContactPair,
-    ContactProblem,
-    Coulomb,
-    Law,
-    PlaneStrain,
-    Polygon,
-    Pressure,
-    Support,
-    Traction,
-)
+from adaptmg.problem import Law
 
 _MM = 1e-3
 _NECK, _RISE, _DEPTH, _CHAMFER = 12.0, 24.0, 16.0, 3.0
@@ -46,8 +36,8 @@ _LEAST_WALL = 6.0
 _DEFAULTS = {"angle": 50.0, "pull": 100e6, "clamp": 120e6, "young": 2.1e11, "poisson": 0.3}
 
 
-def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, pull: float = 100e6, clamp: float = 120e6,  # noqa: B008
-             young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+def dovetail(*, law: Law = am.Coulomb(0.2), angle: float = 50.0, pull: float = 100e6, clamp: float = 120e6,  # noqa: B008
+             young: float = 2.1e11, poisson: float = 0.3) -> am.ContactProblem:
     """Pose the dovetail joint; a reconstruction with our own geometry and loads.
 
     Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name -> position,
@@ -76,15 +66,16 @@ def dovetail(*, law: Law = Coulomb(0.2), angle: float = 50.0, pull: float = 100e
     angle = _checked_angle(angle)
     pull, clamp = checks.quantity("pull", pull), checks.quantity("clamp", clamp)
     reference: Mapping[str, object] = {"remark": _REMARK}
-    if parameters == _DEFAULTS and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 0.2:
+    if parameters == _DEFAULTS and isinstance(law, am.Coulomb) and not callable(law.friction) and law.friction == 0.2:
         reference = _REFERENCE
-    return ContactProblem(
-        name="dovetail", material=PlaneStrain(young=young, poisson=poisson),
-        domain=Assembly(parts={"tongue": _tongue(angle), "block": _block(angle)}),
-        contact=(ContactPair("tongue.flank", "block.flank"), ContactPair("tongue.bottom", "block.floor")), law=law,
-        loads=(Traction("tongue.top", (0.0, pull)), Pressure("block.side", clamp)),
-        supports=(Support("tongue.symmetry", x=0.0), Support("block.symmetry", x=0.0),
-                  Support("block.bottom", x=0.0, y=0.0)),
+    return am.ContactProblem(
+        name="dovetail", material=am.PlaneStrain(young=young, poisson=poisson),
+        domain=am.Assembly(parts={"tongue": _tongue(angle), "block": _block(angle)}),
+        law=law,
+        contact=(am.ContactPair("tongue.flank", "block.flank"), am.ContactPair("tongue.bottom", "block.floor")),
+        loads=(am.Traction("tongue.top", (0.0, pull)), am.Pressure("block.side", clamp)),
+        supports=(am.Support("tongue.symmetry", x=0.0), am.Support("block.symmetry", x=0.0),
+                  am.Support("block.bottom", x=0.0, y=0.0)),
         reference=reference)
 
 
@@ -96,20 +87,20 @@ def _checked_angle(angle: float) -> float:
     return math.radians(angle)
 
 
-def _tongue(angle: float) -> Polygon:
+def _tongue(angle: float) -> am.Polygon:
     foot = _NECK + (_DEPTH - _CHAMFER) / math.tan(angle)
     return _polygon([(0.0, -_DEPTH), (foot - _CHAMFER, -_DEPTH), (foot, _CHAMFER - _DEPTH), (_NECK, 0.0),
                      (_NECK, _RISE), (0.0, _RISE)], ("bottom", "chamfer", "flank", "neck", "top", "symmetry"))
 
 
-def _block(angle: float) -> Polygon:
+def _block(angle: float) -> am.Polygon:
     root = _NECK + _DEPTH / math.tan(angle)
     return _polygon([(0.0, -_BOTTOM), (_SIDE, -_BOTTOM), (_SIDE, 0.0), (_NECK, 0.0), (root, -_DEPTH), (0.0, -_DEPTH)],
                     ("bottom", "side", "shoulder", "flank", "floor", "symmetry"))
 
 
-def _polygon(corners: list[tuple[float, float]], names: tuple[str, ...]) -> Polygon:
-    return Polygon(vertices=tuple((x * _MM, y * _MM) for x, y in corners), boundaries=names)
+def _polygon(corners: list[tuple[float, float]], names: tuple[str, ...]) -> am.Polygon:
+    return am.Polygon(vertices=tuple((x * _MM, y * _MM) for x, y in corners), boundaries=names)
 
 
 _REMARK = ("A reconstruction: the paper gives neither geometry nor loads of its Example 2, and no values are known to "

@@ -17,18 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.problem import (
-    Contact,
-    ContactProblem,
-    Frictionless,
-    Law,
-    Plane,
-    PlaneStrain,
-    Polygon,
-    Pressure,
-    Support,
-)
+from adaptmg.problem import Law
 
 # depth and half the width of the block, in half-widths of the punch
 _SIZE = 40.0
@@ -52,8 +43,8 @@ class PunchPressure:
         return self.load / (math.pi * np.sqrt(self.half_width**2 - np.asarray(x)**2))
 
 
-def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: float = 10e-3,  # noqa: B008
-               young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+def flat_punch(*, law: Law = am.Frictionless(), load: float = 1e6, half_width: float = 10e-3,  # noqa: B008
+               young: float = 2.1e11, poisson: float = 0.3) -> am.ContactProblem:
     """Pose a flat rigid punch on a block 40 half-widths deep and 80 wide; plane strain, one half by symmetry.
 
     ``reference`` holds, without friction, ``pressure`` (:class:`PunchPressure`, of x in m), ``exponent`` (of the
@@ -77,15 +68,16 @@ def flat_punch(*, law: Law = Frictionless(), load: float = 1e6, half_width: floa
     """
     a, load = checks.quantity("half_width", half_width, positive=True), checks.quantity("load", load, positive=True)
     reference = {}
-    if isinstance(law, Frictionless):
+    if isinstance(law, am.Frictionless):
         reference = {"quantity": "contact pressure, Pa", "pressure": PunchPressure(load=load, half_width=a),
                      "exponent": 0.5, "half_width": a,
                      "sources": {"pressure": "Johnson, Contact Mechanics, section 2.8, for a half-plane"},
                      "remark": "The block is finite: the difference is of the order of (a / depth)^2, .1 %."}
     size = _SIZE * a
-    return ContactProblem(
-        name="flat punch", material=PlaneStrain(young=young, poisson=poisson),
-        domain=Polygon(vertices=((0.0, -size), (size, -size), (size, 0.0), (a, 0.0), (0.0, 0.0)),
+    return am.ContactProblem(
+        name="flat punch", material=am.PlaneStrain(young=young, poisson=poisson),
+        domain=am.Polygon(vertices=((0.0, -size), (size, -size), (size, 0.0), (a, 0.0), (0.0, 0.0)),
                        boundaries=("bottom", "side", "free", "contact", "symmetry")),
-        contact=Contact("contact", Plane(point=(0.0, 0.0), normal=(0.0, -1.0))), law=law,
-        loads=(Pressure("bottom", load / (2 * size)),), supports=(Support("symmetry", x=0.0),), reference=reference)
+        contact=am.Contact("contact", am.Plane(point=(0.0, 0.0), normal=(0.0, -1.0))), law=law,
+        loads=(am.Pressure("bottom", load / (2 * size)),), supports=(am.Support("symmetry", x=0.0),),
+        reference=reference)

@@ -18,22 +18,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.problem import (
-    Box,
-    Contact,
-    ContactProblem,
-    Coulomb,
-    Frictionless,
-    GapFunction,
-    Law,
-    Plane,
-    PlaneStrain,
-    Pressure,
-    Rectangle,
-    Solid,
-    Support,
-)
+from adaptmg.problem import Law
 
 _POINTS = {"A": (0.0, 0.0), "B": (1.25e-3, 0.0), "C": (5e-3, 0.0), "D": (7.5e-3, 0.0), "E": (11.25e-3, 0.0)}
 _SSNV128 = {"A": 2.86e-5, "B": 2.72e-5, "C": 2.28e-5, "D": 1.98e-5, "E": 1.50e-5}
@@ -50,8 +37,8 @@ _REFERENCE = {
 _DEFAULTS = {"top_pressure": 5e7, "side_pressure": 15e7, "young": 1.3e11, "poisson": 0.2, "size": 40e-3}
 
 
-def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
-              young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3) -> ContactProblem:
+def greco_bar(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
+              young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3) -> am.ContactProblem:
     """Pose the GRECO bar.
 
     ``reference`` holds ``quantity``, ``points`` (name -> position, m), ``values`` (source -> point -> m), ``sources``,
@@ -77,22 +64,22 @@ def greco_bar(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressu
     parameters = {"top_pressure": top_pressure, "side_pressure": side_pressure, "young": young, "poisson": poisson,
                   "size": size}
     size = checks.quantity("size", size, positive=True)
-    material = PlaneStrain(young=young, poisson=poisson)
+    material = am.PlaneStrain(young=young, poisson=poisson)
     top_pressure = checks.quantity("top_pressure", top_pressure)
     side_pressure = checks.quantity("side_pressure", side_pressure)
     reference: Mapping[str, object] = {}
-    if isinstance(law, Frictionless) and top_pressure > 0:
+    if isinstance(law, am.Frictionless) and top_pressure > 0:
         reference = _patch_test(material, top_pressure, side_pressure, size)
-    elif parameters == _DEFAULTS and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 1.0:
+    elif parameters == _DEFAULTS and isinstance(law, am.Coulomb) and not callable(law.friction) and law.friction == 1.0:
         reference = _REFERENCE
-    return ContactProblem(
-        name="GRECO bar", material=material, domain=Rectangle(width=size, height=size),
-        contact=Contact("bottom", Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
-        loads=(Pressure("top", top_pressure), Pressure("left", side_pressure)), supports=(Support("right", x=0.0),),
-        reference=reference)
+    return am.ContactProblem(
+        name="GRECO bar", material=material, domain=am.Rectangle(width=size, height=size),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
+        loads=(am.Pressure("top", top_pressure), am.Pressure("left", side_pressure)),
+        supports=(am.Support("right", x=0.0),), reference=reference)
 
 
-def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float, size: float) -> dict[str, object]:
+def _patch_test(material: am.PlaneStrain, top_pressure: float, side_pressure: float, size: float) -> dict[str, object]:
     nu = material.poisson
     strain = (-(1 - nu**2) * side_pressure + nu * (1 + nu) * top_pressure) / material.young
     exact = {name: -(1 - fraction) * size * strain for name, fraction in
@@ -108,9 +95,9 @@ def _patch_test(material: PlaneStrain, top_pressure: float, side_pressure: float
     }
 
 
-def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
+def greco_block(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
                 young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3, depth: float = 40e-3,
-                plane_strain: bool = True) -> ContactProblem:
+                plane_strain: bool = True) -> am.ContactProblem:
     """Pose the GRECO bar as a solid: a box pressed on the plane z = 0 and pushed along x.
 
     Parameters
@@ -138,12 +125,12 @@ def greco_block(*, law: Law = Coulomb(1.0), top_pressure: float = 5e7, side_pres
         remark = f"Values of the plane-strain bar. {bar.reference['remark']}"
         reference = {**bar.reference, "points": points, "remark": remark}
     held = ("front", "back") if plane_strain else ("front",)
-    return ContactProblem(
-        name="GRECO block" if plane_strain else "GRECO block, free back", material=Solid(young=young, poisson=poisson),
-        domain=Box(width=size, depth=depth, height=size),
-        contact=Contact("bottom", Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))), law=law,
-        loads=(Pressure("top", top_pressure), Pressure("left", side_pressure)),
-        supports=(Support("right", x=0.0), *(Support(face, y=0.0) for face in held)), reference=reference)
+    return am.ContactProblem(
+        name="GRECO block" if plane_strain else "GRECO block, free back",
+        material=am.Solid(young=young, poisson=poisson), domain=am.Box(width=size, depth=depth, height=size),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))), law=law,
+        loads=(am.Pressure("top", top_pressure), am.Pressure("left", side_pressure)),
+        supports=(am.Support("right", x=0.0), *(am.Support(face, y=0.0) for face in held)), reference=reference)
 
 
 @dataclass(frozen=True)
@@ -158,9 +145,9 @@ class ParabolicGap:
         return (self.position - points[:, 0])**2 / (2 * self.radius)
 
 
-def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pressure: float = 5e7,  # noqa: B008
+def curved_obstacle(*, law: Law = am.Frictionless(), radius: float = 10.0, top_pressure: float = 5e7,  # noqa: B008
                     side_pressure: float = 15e7, young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3
-                    ) -> ContactProblem:
+                    ) -> am.ContactProblem:
     """Pose the GRECO bar in front of a curved obstacle: the contact zone is unknown.
 
     The gap under the bottom is (size - x)^2 / (2 radius).
@@ -183,19 +170,19 @@ def curved_obstacle(*, law: Law = Frictionless(), radius: float = 10.0, top_pres
     """
     bar = greco_bar(law=law, top_pressure=top_pressure, side_pressure=side_pressure, young=young, poisson=poisson,
                     size=size)
-    default = (isinstance(law, Frictionless) and (radius, top_pressure, side_pressure, young, poisson, size)
+    default = (isinstance(law, am.Frictionless) and (radius, top_pressure, side_pressure, young, poisson, size)
                == (10.0, 5e7, 15e7, 1.3e11, 0.2, 40e-3))
     reference = {"touching": {32: 17}, "sources": {"touching": "direct active-set solve"}} if default else {}
     gap = ParabolicGap(position=float(size), radius=checks.quantity("radius", radius, positive=True))
-    return replace(bar, name="curved obstacle", contact=Contact("bottom", GapFunction(gap)), reference=reference)
+    return replace(bar, name="curved obstacle", contact=am.Contact("bottom", am.GapFunction(gap)), reference=reference)
 
 
 #: lambda at the clamped-free corner by Poisson's ratio
 _EXPONENTS = {0.2: 0.781, 0.3: 0.711}
 
 
-def upset_block(*, law: Law = Coulomb(0.5), top_pressure: float = 5e7, young: float = 1.3e11,  # noqa: B008
-                poisson: float = 0.2, size: float = 40e-3) -> ContactProblem:
+def upset_block(*, law: Law = am.Coulomb(0.5), top_pressure: float = 5e7, young: float = 1.3e11,  # noqa: B008
+                poisson: float = 0.2, size: float = 40e-3) -> am.ContactProblem:
     """Pose the GRECO bar without side pressure, friction 0.5.
 
     Friction holds the foot, so that sticking contact meets the free 90 degree corner at x = 0: there u ~ r^lambda with
@@ -219,7 +206,7 @@ def upset_block(*, law: Law = Coulomb(0.5), top_pressure: float = 5e7, young: fl
     problem = greco_bar(law=law, top_pressure=top_pressure, side_pressure=0.0, young=young, poisson=poisson, size=size)
     exponent = _EXPONENTS.get(poisson)
     reference = {}
-    if exponent is not None and isinstance(law, Coulomb) and not callable(law.friction) and law.friction == 0.5:
+    if exponent is not None and isinstance(law, am.Coulomb) and not callable(law.friction) and law.friction == 0.5:
         reference = {"exponent": exponent, "uniform_rate": exponent / 2,
                      "sources": {"exponent": "characteristic equation of the clamped-free 90 degree corner"}}
     return replace(problem, name="upset block", reference=reference)

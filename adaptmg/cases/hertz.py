@@ -22,23 +22,9 @@ from typing import ClassVar
 
 import numpy as np
 
+import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.problem import (
-    Assembly,
-    Axisymmetric,
-    ContactPair,
-    ContactProblem,
-    Elastic,
-    Frictionless,
-    Law,
-    Outline,
-    PlaneStrain,
-    Polygon,
-    Pressure,
-    Solid,
-    Support,
-)
-from adaptmg.problem.solid_domains import Revolution
+from adaptmg.problem import Elastic, Law
 
 # the largest half-width over the smallest radius
 _LARGEST = 0.1
@@ -148,8 +134,8 @@ class PointContact(HertzContact):
         return {**super().reference(), "approach": self.approach}
 
 
-def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: float = 50e-3,  # noqa: B008
-                   lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+def hertz_cylinder(*, law: Law = am.Frictionless(), load: float = 1e6, radius: float = 50e-3,  # noqa: B008
+                   lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> am.ContactProblem:
     """Pose a cylinder on a block, or on another cylinder; plane strain, one half by symmetry.
 
     Bodies "upper" (slave) and "lower", which touch at the origin. ``reference`` holds ``half_width`` (m), ``peak``
@@ -175,14 +161,14 @@ def hertz_cylinder(*, law: Law = Frictionless(), load: float = 1e6, radius: floa
     2
     """
     radius, lower_radius = _radii(radius, lower_radius)
-    material = PlaneStrain(young=young, poisson=poisson)
+    material = am.PlaneStrain(young=young, poisson=poisson)
     form = LineContact.of(load, radius, lower_radius, material)
     return _posed(form, "cylinder on block" if lower_radius is None else "two cylinders", material, law,
                   _sections(radius, lower_radius, form.half_width), form.load / (2 * radius))
 
 
-def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.0, radius: float = 50e-3,  # noqa: B008
-                 lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> ContactProblem:
+def hertz_sphere(*, law: Law = am.Frictionless(), dim: int = 2, load: float = 1300.0, radius: float = 50e-3,  # noqa: B008
+                 lower_radius: float | None = None, young: float = 2.1e11, poisson: float = 0.3) -> am.ContactProblem:
     """Pose a ball on a block, or on another ball.
 
     ``reference`` is that of :func:`hertz_cylinder` with a :class:`PointContact`, and ``approach`` (m).
@@ -204,7 +190,7 @@ def hertz_sphere(*, law: Law = Frictionless(), dim: int = 2, load: float = 1300.
     """
     checks.choice("dim", dim, (2, 3))
     radius, lower_radius = _radii(radius, lower_radius)
-    material = (Axisymmetric if dim == 2 else Solid)(young=young, poisson=poisson)
+    material = (am.Axisymmetric if dim == 2 else am.Solid)(young=young, poisson=poisson)
     form = PointContact.of(load, radius, lower_radius, material)
     return _posed(form, "ball on block" if lower_radius is None else "two balls", material, law,
                   _sections(radius, lower_radius, form.half_width), form.load / (math.pi * radius**2))
@@ -215,27 +201,27 @@ def _radii(radius: float, lower_radius: float | None) -> tuple[float, float | No
             None if lower_radius is None else checks.quantity("lower_radius", lower_radius, positive=True))
 
 
-def _posed(form: HertzContact, name: str, material: Elastic, law: Law, sections: dict[str, Outline | Polygon],
-           pressure: float) -> ContactProblem:
-    supports, parts = [Support("upper.symmetry", x=0.0), Support("lower.symmetry", x=0.0)], sections
+def _posed(form: HertzContact, name: str, material: Elastic, law: Law, sections: dict[str, am.Outline | am.Polygon],
+           pressure: float) -> am.ContactProblem:
+    supports, parts = [am.Support("upper.symmetry", x=0.0), am.Support("lower.symmetry", x=0.0)], sections
     if material.dim == 3:
-        parts = {body: Revolution(section, 90.0) for body, section in sections.items()}
-        supports = [Support(f"{body}.{side}", **{axis: 0.0}) for body in parts
+        parts = {body: am.Revolution(section, 90.0) for body, section in sections.items()}
+        supports = [am.Support(f"{body}.{side}", **{axis: 0.0}) for body in parts
                     for side, axis in (("start", "y"), ("end", "x"))]
-    supports.append(Support("lower.bottom", **{"y" if material.dim == 2 else "z": 0.0}))
-    return ContactProblem(
-        name=f"Hertz, {name}", material=material, domain=Assembly(parts=parts), law=law, supports=supports,
+    supports.append(am.Support("lower.bottom", **{"y" if material.dim == 2 else "z": 0.0}))
+    return am.ContactProblem(
+        name=f"Hertz, {name}", material=material, domain=am.Assembly(parts=parts), law=law, supports=supports,
         # the weighted gap at the pole, of chords seen along turning normals, is negative by terms of the order of h^4
-        contact=ContactPair("upper.contact", "lower.contact", allow_interference=True),
-        loads=(Pressure("upper.top", pressure),), reference=form.reference())
+        contact=am.ContactPair("upper.contact", "lower.contact", allow_interference=True),
+        loads=(am.Pressure("upper.top", pressure),), reference=form.reference())
 
 
-def _sections(radius: float, lower_radius: float | None, a: float) -> dict[str, Outline | Polygon]:
+def _sections(radius: float, lower_radius: float | None, a: float) -> dict[str, am.Outline | am.Polygon]:
     if lower_radius is not None:
         lower = quarter_cylinder(lower_radius, MASTER_REACH * a, above=False)
     else:
         edge = block_contact(radius, a)
-        lower = Polygon(vertices=((0.0, -radius), (radius, -radius), (radius, 0.0), (edge, 0.0), (0.0, 0.0)),
+        lower = am.Polygon(vertices=((0.0, -radius), (radius, -radius), (radius, 0.0), (edge, 0.0), (0.0, 0.0)),
                         boundaries=("bottom", "side", "top", "contact", "symmetry"))
     return {"upper": quarter_cylinder(radius, SLAVE_REACH * a, above=True), "lower": lower}
 
@@ -245,13 +231,13 @@ def block_contact(size: float, a: float) -> float:
     return min(MASTER_REACH * a, 0.75 * size)
 
 
-def quarter_cylinder(radius: float, contact: float, *, above: bool) -> Outline:
+def quarter_cylinder(radius: float, contact: float, *, above: bool) -> am.Outline:
     """Return the quarter x >= 0 of a cylinder that touches the origin from above or below, flat at its middle plane."""
     x, y = on_circle(radius, contact)
     if above:
-        return Outline(vertices=((0.0, 0.0), (x, y), (radius, radius), (0.0, radius)),
+        return am.Outline(vertices=((0.0, 0.0), (x, y), (radius, radius), (0.0, radius)),
                        boundaries=("contact", "side", "top", "symmetry"), arcs={0: (0.0, radius), 1: (0.0, radius)})
-    return Outline(vertices=((0.0, 0.0), (0.0, -radius), (radius, -radius), (x, -y)),
+    return am.Outline(vertices=((0.0, 0.0), (0.0, -radius), (radius, -radius), (x, -y)),
                    boundaries=("symmetry", "bottom", "side", "contact"), arcs={2: (0.0, -radius), 3: (0.0, -radius)})
 
 
