@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import re
 import sys
+import warnings
 from dataclasses import MISSING, fields
 from inspect import isfunction
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,14 @@ def say(text: str) -> None:
     if sys.stderr is not None:
         sys.stderr.write(f"{text}\n")
         sys.stderr.flush()
+
+
+def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
+    """Warn at the line that called the package."""
+    level, frame = 1, sys._getframe()
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("adaptmg", "contextlib"):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, category, stacklevel=level)
 
 
 def in_html_lines(text: str) -> str:

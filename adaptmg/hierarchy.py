@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise, product
@@ -16,7 +15,7 @@ from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
 from adaptmg._check_arrays import shape_of
 from adaptmg._numba import clock, compiling_seconds
-from adaptmg._text import html_table, in_html_lines, shortened
+from adaptmg._text import html_table, in_html_lines, shortened, warn_user
 from adaptmg.discrete.discretise import same
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.sides import with_sides
@@ -115,19 +114,19 @@ class Hierarchy:
             With a Rectangle or Box as domain.
         divisions : sequence of int, tuple of int or mapping
             Cells along the sides, coarse to fine; nested where each divides the next. Of several bodies also body
-            name -> cells.
+            name -> cells. Cells more than three times as long as wide take many cycles (a warning).
         diagonal : {"right", "left", "alternating"}
             How squares are cut (2D).
         """
         begin = clock()
-        from adaptmg.mesh import structured
-        from adaptmg.mesh.structured import lattice_nodes
+        from adaptmg.mesh.structured import lattice_nodes, lattices, warn_of_stretched
 
         need_domain(problem)
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))
         domain = cast("Rectangle | Box | Assembly", problem.domain)
         _check_total("divisions", [lattice_nodes(domain, n) for n in divisions], problem.dim)
-        return cls._build(problem, lambda: [structured(domain, n, diagonal=diagonal) for n in divisions], None,
+        warn_of_stretched(domain, divisions[-1])
+        return cls._build(problem, lambda: [lattices(domain, n, diagonal) for n in divisions], None,
                           f"uniform {', '.join(map(_label, divisions))}", begin)
 
     @classmethod
@@ -253,7 +252,7 @@ class Hierarchy:
         meshes = mesh()
         problem = with_sides(problem, meshes[-1])
         for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
-            warnings.warn(message, UserWarning, stacklevel=4)
+            warn_user(message)
         checks.flag("contact_rows", contact_rows)
         builder = the_transfer(transfer)
         check_coarse_to_fine(meshes)

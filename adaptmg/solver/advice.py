@@ -7,14 +7,13 @@ cases of the package is beyond one. A kind of warning is given once a call of :f
 
 from __future__ import annotations
 
-import sys
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 
 import numpy as np
 
+from adaptmg._text import warn_user
 from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.sides import STIFFER, stiffness_ratio
 from adaptmg.discrete.stress import element_strain, hoop_strain
@@ -54,16 +53,13 @@ def once(said: set[str] | None = None) -> Iterator[None]:
 
 
 def advise(kind: str, text: str, category: type[Warning] = UserWarning) -> None:
-    """Warn at the line that called the package."""
+    """Warn at the line that called the package, inside :func:`once` once of a kind."""
     said = _SAID.get()
     if said is not None:
         if kind in said:
             return
         said.add(kind)
-    level, frame = 1, sys._getframe()
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("adaptmg", "contextlib"):
-        level, frame = level + 1, frame.f_back
-    warnings.warn(text, category, stacklevel=level)
+    warn_user(text, category)
 
 
 def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -> None:

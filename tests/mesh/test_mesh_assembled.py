@@ -1,12 +1,16 @@
 """Meshes of several bodies and of outlines with arcs: nothing shared, nodes on the circles, sizes as asked."""
 
 import math
+import re
+import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from bisected_meshes import edge_lengths
 from refused import refused
 
+import adaptmg as am
 from adaptmg.mesh import MeshArrays, SizeNear, check_mesh, graded, merged, quality, sized, structured
 from adaptmg.mesh.arrays import swept
 from adaptmg.mesh.domains import distance_to_boundaries
@@ -149,3 +153,20 @@ test_refuses = refused(
     (lambda: SizeNear([(0, 0), (0, 0, 0)], size=1.0), "same dimension"),
     (lambda: SizeNear([(0, 0)], size=1.0, grading=2), "grading must be at most 1"),
     (lambda: SizeNear([(0, 0)], size=1.0).scaled(0.0), "factor must be > 0"))
+
+
+@pytest.mark.parametrize(("sides", "divisions", "square"), [
+    ((1.0, 1.0), (4, 13), (7, 7)), ((10.0, 1.0), (2, 8), (13, 1)), ((2.0, 1.0, 1.0), (4, 2, 7), (6, 3, 3))])
+def test_stretched_cells_are_warned_of_with_divisions_that_are_not(sides, divisions, square):
+    scale = 10.0 ** np.random.default_rng(5).uniform(-3, 3)
+    names = ("width", "height") if len(sides) == 2 else ("width", "depth", "height")
+    lengths = {name: scale * side for name, side in zip(names, sides, strict=True)}
+    domain = Rectangle(**lengths) if len(sides) == 2 else Box(**lengths)
+    problem = replace(am.cases.greco_bar() if len(sides) == 2 else am.cases.greco_block(), domain=domain)
+    for act in (lambda: structured(domain, divisions), lambda: am.Hierarchy.uniform(problem, [2, divisions])):
+        with pytest.warns(UserWarning, match=re.escape(f"divisions {square}")) as caught:
+            act()
+        assert len(caught) == 1 and caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        structured(domain, square)
