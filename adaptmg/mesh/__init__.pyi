@@ -9,5 +9,5 @@ from .size_near import SizeNear as SizeNear
 from .soundness import (
     check_mesh as check_mesh, MeshQuality as MeshQuality, quality as quality, with_source as with_source
 )
-from .step import from_step as from_step, step_names as step_names
+from .step_faces import step_table as step_table, touching as touching
 from .structured import merged as merged, structured as structured

@@ -10,10 +10,12 @@ import math
 import os
 import pickle
 import queue
+import re
 import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import netgen.meshing
 import numpy as np
@@ -174,7 +176,7 @@ def _spline_geometry(domain: Outline, lower: np.ndarray, scale: float, sides: Ma
     return geometry
 
 
-ShapeTables = tuple[list[str], list[float], float, np.ndarray, list[np.ndarray]]
+ShapeTables = tuple[list[str], list[float], float, np.ndarray, list[np.ndarray], np.ndarray]
 
 
 def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> ShapeTables:
@@ -192,10 +194,67 @@ def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> 
     return _hold(solid)
 
 
-def read_step(path: str) -> list[tuple[str, list[str]]]:
-    """Names of the solids of a STEP file and of their faces, "" where there is none."""
-    _Held.solids = list(OCCGeometry(path).solids)
-    return [(solid.name or "", [face.name or "" for face in solid.faces]) for solid in _Held.solids]
+def read_step(path: str) -> list[tuple[str, str, list[str]]]:
+    """Of each solid of a STEP file the name of its product, its own name and those of its faces, "" where there is
+    none. A product of several solids names none of them."""
+    geometry = OCCGeometry(path)
+    _Held.solids = list(geometry.solids)
+    products: dict[Solid, str] = {}
+    tree = geometry.GetAssemblyTree()
+    if tree is not None:
+        _name_products(tree, "", _uses(Path(path).read_text("latin-1")), products)
+    return [(products.get(solid, ""), solid.name or "", [face.name or "" for face in solid.faces])
+            for solid in _Held.solids]
+
+
+def _name_products(node: occ.OCCAssemblyNode, label: str, uses: dict[str, list[tuple[str, str]]],
+                   products: dict[Solid, str]) -> None:
+    """Names of the products of the leaves below a node. Netgen says the names of instances, the file of what."""
+    below = list(uses.get(label, ())) if label else [(name, name) for name in uses]
+    for child in node.children:
+        found = next((pair for pair in below if pair[0] == child.name), (child.name, child.name))
+        if found in below:
+            below.remove(found)
+        _name_products(child, found[1], uses, products)
+    if not node.is_assembly and node.shape is not None and len(node.shape.solids) == 1:
+        products[node.shape.solids[0]] = label
+
+
+def _uses(text: str) -> dict[str, list[tuple[str, str]]]:
+    """For each product of a STEP file that has parts, the names of their instances and of their products."""
+    string = r"'((?:[^']|'')*)'"
+    described = rf"\s*\(\s*{string}\s*,\s*(?:{string}|\$)\s*,\s*"
+
+    def rows(pattern: str) -> list[tuple[str, ...]]:
+        return re.findall(rf"#(\d+)\s*=\s*{pattern}", text)
+
+    name = {row[0]: row[2] or row[1] for row in rows(rf"PRODUCT{described}")}
+    version = {row[0]: name.get(row[-1], "") for row in rows(rf"PRODUCT_DEFINITION_FORMATION\w*{described}#(\d+)")}
+    part = {row[0]: version.get(row[-1], "") for row in rows(rf"PRODUCT_DEFINITION(?:_WITH_\w+)?{described}#(\d+)")}
+    result: dict[str, list[tuple[str, str]]] = {one: [] for one in part.values() if one}
+    for _, number, instance, _, whole, used in rows(
+            rf"NEXT_ASSEMBLY_USAGE_OCCURRENCE{described}(?:{string}|\$)\s*,\s*#(\d+)\s*,\s*#(\d+)"):
+        result.setdefault(part.get(whole, ""), []).append((instance or number, part.get(used, "")))
+    return result
+
+
+def choose_solids(numbers: Sequence[int]) -> None:
+    """Keep some solids of the last STEP file."""
+    _Held.solids = [_Held.solids[number] for number in numbers]
+
+
+def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, outward triangles and the face of each, of a surface mesh of the shape of the last request."""
+    mesh = OCCGeometry(_Held.shape).GenerateMesh(maxh=size, perfstepsend=netgen.meshing.MeshingStep.MESHSURFACE)
+    found = mesh.Elements2D().NumPy()
+    return (np.array(mesh.Coordinates()), found["nodes"][:, :3].astype(np.int64) - 1,
+            found["index"].astype(np.int64) - 1)
+
+
+def face_distances(number: int, face: int, points: np.ndarray) -> np.ndarray:
+    """Distances of points from a face of a solid of the last STEP file."""
+    shape = list(_Held.solids[number].faces)[face]
+    return np.array([occ.Vertex(Pnt(*point)).Distance(shape) for point in points.tolist()])
 
 
 def step_shape(number: int) -> tuple[ShapeTables, np.ndarray, float]:
@@ -213,7 +272,8 @@ def _hold(solid: Solid) -> ShapeTables:
     _Held.shape = solid
     faces = list(solid.faces)
     return ([face.name for face in faces], [face.mass for face in faces], solid.mass,
-            np.array([_place(p) for p in solid.bounding_box]), [_samples(face) for face in faces])
+            np.array([_place(p) for p in solid.bounding_box]), [_samples(face) for face in faces],
+            np.array([_place(face.center) for face in faces]))
 
 
 def _samples(face: Face) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""from_step: STEP files of one or several solids, each meshed apart by Netgen; names of solids and faces are kept.
+"""STEP files of one or several solids, each meshed apart by Netgen; names of solids and faces are kept.
 
 The solids share no nodes, even where their faces coincide: contact pairs join them. OCC turns every unit of length a
 file may use into millimetres, and reads the file in the process of :mod:`adaptmg.mesh.netgen_guard`.
@@ -6,8 +6,7 @@ file may use into millimetres, and reads the file in the process of :mod:`adaptm
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -24,36 +23,10 @@ Sizes = float | Mapping[str, float]
 SizeFunction = float | Callable[[np.ndarray], np.ndarray]
 # reading takes about a second a megabyte; twenty times that is the limit
 _START_S, _S_PER_BYTE, _BYTES_PER_BYTE = 60.0, 2e-5, 50
+# of products without a name, as OCC writes them
+_NO_PRODUCT = "Open CASCADE STEP translator"
 # nodes on round faces, whose number is not known: for the time limit
 _CURVED = 1e4
-
-
-def from_step(path: str | Path, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, *,
-              grading: float = 0.3, size_function: SizeFunction | None = None,
-              unit: float = 1e-3, names: Mapping[str, str] | None = None, curvature: float = 2.0) -> MeshArrays:
-    """Read and mesh a STEP file.
-
-    Parameters
-    ----------
-    path : str or Path
-        A ``.step`` or ``.stp`` file with one or several solids.
-    size, boundary_sizes, grading, size_function, curvature
-        As of :func:`step_mesh`.
-    unit, names
-        As of :class:`adaptmg.problem.solid_domains.StepFile`.
-
-    Returns
-    -------
-    MeshArrays
-        As of :func:`step_mesh`.
-
-    Raises
-    ------
-    FileNotFoundError, TypeError, ValueError
-        If it is not there, cannot be read, has no solids, on unknown names, bad sizes, or where Netgen fails.
-    """
-    domain = StepFile(path, unit, {} if names is None else names)
-    return step_mesh(domain, size, boundary_sizes, grading, size_function, curvature=curvature)
 
 
 def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, grading: Sizes = 0.3,
@@ -90,23 +63,6 @@ def step_shapes(worker: Netgen, domain: StepFile, contents: Mapping[str, tuple[s
         yield body, Shape(list(faces), *tables, domain.unit * lower, domain.unit * scale)
 
 
-def step_names(path: str | Path | StepFile) -> dict[str, tuple[str, ...]]:
-    """What a STEP file holds: the names of the faces of each solid, as meshes will have them.
-
-    Parameters
-    ----------
-    path : str, Path or StepFile
-        A StepFile may rename them.
-
-    Returns
-    -------
-    dict of str to tuple of str
-        For each solid one name a face, in the order of the file; several faces may have the same one.
-    """
-    with netgen() as worker:
-        return step_contents(worker, path if isinstance(path, StepFile) else StepFile(path))
-
-
 def step_contents(worker: Netgen, domain: StepFile) -> dict[str, tuple[str, ...]]:
     """The names of the faces of a file by those of its solids, which the process holds then."""
     path = domain.path
@@ -121,11 +77,39 @@ def step_contents(worker: Netgen, domain: StepFile) -> dict[str, tuple[str, ...]
     if not solids:
         raise ValueError(f"{str(path)!r} holds no solids; surfaces must be closed and sewn into solids before they are "
                          "written")
-    bodies = [(name or f"solid{i + 1}").replace(".", "_") for i, (name, _) in enumerate(solids)]
-    faces = [[(name or f"face{j + 1}").replace(".", "_") for j, name in enumerate(own)] for _, own in solids]
-    for name in (*bodies, *(name for own in faces for name in own)):
+    named = [_plain((product if not product.startswith(_NO_PRODUCT) else "") or own or f"solid{i + 1}")
+             for i, (product, own, _) in enumerate(solids)]
+    faces = [[_plain(name or f"face{j + 1}") for j, name in enumerate(own)] for *_, own in solids]
+    for name in (*named, *(name for own in faces for name in own)):
         checks.boundary_name(f"a name in {str(path)!r}", name)
-    return _renamed(domain, _distinct(bodies), faces)
+    contents = _renamed(domain, _distinct(named), faces)
+    if domain.solids is None:
+        return contents
+    chosen = _chosen(domain, named, list(contents))
+    worker("choose_solids", chosen, seconds=_START_S)
+    bodies = list(contents.items())
+    return dict(bodies[k] for k in chosen)
+
+
+def _plain(name: str) -> str:
+    return name.replace(".", "_")
+
+
+def _chosen(domain: StepFile, named: Sequence[str], bodies: Sequence[str]) -> list[int]:
+    """The numbers of the solids that a domain chooses, by their names in the file or those of its bodies."""
+    chosen: list[int] = []
+    for entry in domain.solids:
+        same = [k for k, name in enumerate(named) if name == _plain(entry)]
+        same = same or [k for k, name in enumerate(bodies) if name == _plain(entry)]
+        base, _, number = entry.rpartition(".")
+        if not same and number.isdecimal():
+            instances = [k for k, name in enumerate(named) if name == _plain(base)]
+            same = instances[int(number) - 1:int(number)] if int(number) else []
+        if not same:
+            raise ValueError(f"solids: there is no solid {entry!r}{checks.suggestion(entry, bodies)}; "
+                             f"{str(domain.path)!r} holds {', '.join(bodies)}")
+        chosen += [k for k in same if k not in chosen]
+    return chosen
 
 
 def _distinct(names: list[str]) -> list[str]:

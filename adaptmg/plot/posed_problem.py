@@ -26,7 +26,7 @@ from adaptmg.discrete.supports import supported_nodes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot import style
 from adaptmg.plot.surfaces import Lines, ShadedSurface, finish_axes, normals_of, sharp_edges, view_of, viewer
-from adaptmg.problem import Assembly, Contact, ContactPair, ContactProblem, Domain, laws, loads
+from adaptmg.problem import Assembly, Contact, ContactPair, ContactProblem, Domain, StepFile, laws, loads
 
 _CONTACT, _MASTER, _SUPPORT = "#e8833a", "#f2c530", "#4fb38a"
 
@@ -188,13 +188,16 @@ def spread(edges: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def _coarse_mesh(domain: Domain) -> MeshArrays:
     """A mesh that shows the shape: edges of a twelfth of the extent of each body."""
-    from adaptmg.mesh import graded
+    from adaptmg.mesh import graded, step_table
 
-    parts = getattr(domain, "parts", {"": domain})
-    if not all(hasattr(part, "lower") for part in parts.values()):
-        raise ValueError(f"the size of a {type(domain).__name__} is not known before it is meshed: give mesh=..., for "
-                         "example that of a level of the hierarchy")
-    sizes = {body: float(np.max(part.upper - part.lower)) / 12 for body, part in parts.items()}
+    if isinstance(domain, StepFile):
+        table = step_table(domain)
+        solids = table[table.kind == "solid"]
+        extents = dict(zip(solids.solid, solids[["dx", "dy", "dz"]].max(axis=1), strict=True))
+    else:
+        extents = {body: float(np.max(part.upper - part.lower))
+                   for body, part in getattr(domain, "parts", {"": domain}).items()}
+    sizes = {body: extent / 12 for body, extent in extents.items()}
     return graded(domain, sizes.get("", sizes))
 
 
@@ -228,6 +231,7 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D) -> None:
         # the view in which contact, three times, and loads show most
         seen = [*3 * posed.contact_boundaries, *(load.boundary for load in _surface_loads(posed))]
         view_of(ax, np.concatenate([corners[of_boundary[name]] for name in seen]))
+    if len(mesh.bodies) == 1 or isinstance(posed.domain, StepFile):
         for name, mine in of_boundary.items():
             if mine.any() and normals_of(corners[mine]).mean(axis=0) @ viewer(ax.elev, ax.azim) > 0.1:
                 ax.text(*corners[mine].mean(axis=(0, 1)), style.plain(name), ha="center", va="center", fontsize=8,

@@ -444,9 +444,10 @@ class Assembly(Domain):
 class StepFile(Domain):
     """The solids of a STEP file, each a body; boundaries are called "solid.face".
 
-    Names come from the file; solids and faces without one are called ``solid1``, ``face1``, ... in the order of the
-    file. Of several solids with one name the later ones get "_2", "_3", ...; a "." becomes "_". Names are known only
-    when the file is read (:func:`adaptmg.mesh.step.step_names` lists them).
+    Names come from the file: of products, where each is one solid, else of solids; those without one, and faces, are
+    called ``solid1``, ``face1``, ... in the order of the file. Of several solids with one name (instances of a product)
+    the later ones get "_2", "_3", ...; a "." becomes "_". Names are known only when the file is read
+    (:func:`adaptmg.mesh.step_table` lists them).
 
     Parameters
     ----------
@@ -458,6 +459,8 @@ class StepFile(Domain):
     names : mapping of str to str
         New names: "solid1": "upper" of a solid, "solid1.face3": "contact" of one of its faces. Keys are names as in
         the file, or solids and faces by their numbers, counted from 1.
+    solids : sequence of str, optional
+        Which solids are meshed: "bolt" is all that have this name, "nut.2" the second of several; default all.
 
     Examples
     --------
@@ -469,6 +472,7 @@ class StepFile(Domain):
     path: str | Path
     unit: float = 1e-3
     names: Mapping[str, str] = field(default_factory=dict, hash=False)
+    solids: tuple[str, ...] | None = None
     dim: ClassVar[int] = 3
     boundaries: ClassVar[None] = None
     bodies: ClassVar[None] = None
@@ -477,6 +481,8 @@ class StepFile(Domain):
         checks.convert(self, checks.file_path, "path")
         checks.convert(self, checks.quantity, "unit", positive=True)
         checks.convert(self, checks.mapping, "names", words="names to names")
+        if self.solids is not None:
+            checks.convert(self, checks.strings, "solids")
         for old, new in self.names.items():
             checks.boundary_name("the keys of names", old)
             if "." in checks.boundary_name(f"names[{old!r}]", new):

@@ -26,7 +26,7 @@ am.export.vtk(result, "drilled_block.vtu")
 am.plot.contact(result)
 
 # %%
-# A body from a CAD program is ``am.StepFile("part.step", names={"face3": "foot"})``; ``am.mesh.step_names`` lists its
+# A body from a CAD program is ``am.StepFile("part.step", names={"face3": "foot"})``; ``am.mesh.step_table`` lists its
 # solids and faces.
 #
 # **Next:** ``am.plot.deformation(result)``; the case ``greco_block``. **It depends on** your own problem.

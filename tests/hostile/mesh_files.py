@@ -8,7 +8,8 @@ from pathlib import Path
 
 from hostile_table import Hostile
 
-from adaptmg.mesh import as_mesh, from_step, step_names
+from adaptmg.mesh import as_mesh, graded, step_table
+from adaptmg.problem import StepFile
 
 sys.path.append(str(Path(__file__).parents[1]))
 from netgen_text import VOL
@@ -137,7 +138,7 @@ def _binary(nodes: int = 3, elements: int = 1, corner: int = 3) -> bytes:
             + b"\n$EndNodes\n$Elements\n%d\n" % elements + triangle + b"\n$EndElements\n")
 
 
-def _step(change, run=step_names) -> None:
+def _step(change, run=step_table) -> None:
     from netgen.occ import Box, Pnt
 
     Box(Pnt(0, 0, 0), Pnt(1, 2, 3)).WriteStep("bad.step")
@@ -163,7 +164,7 @@ def _other_files():
 
 
     for name in ("pipe.msh", "pipe.vol", "pipe.vol.gz", "pipe.step"):
-        yield Hostile(name, lambda n=name: (os.mkfifo(n), (step_names if n.endswith("step") else as_mesh)(n)), name,
+        yield Hostile(name, lambda n=name: (os.mkfifo(n), (step_table if n.endswith("step") else as_mesh)(n)), name,
                       ValueError, writes=True)
 
 
@@ -174,7 +175,7 @@ def _step_files():
                "no solids": lambda t: t.replace("MANIFOLD_SOLID_BREP", "MANIFOLD_SOLID_BRAP")}
     for label, change in changes.items():
         yield Hostile(f"step {label}", lambda c=change: _step(c), "bad.step", ValueError, writes=True)
-    yield Hostile("step size of 1e-9", lambda: _step(str, lambda p: from_step(p, 1e-9)), "nodes", ValueError,
+    yield Hostile("step size of 1e-9", lambda: _step(str, lambda p: graded(StepFile(p), 1e-9)), "nodes", ValueError,
                   writes=True)
 
 

@@ -11,7 +11,7 @@ import pytest
 from bisected_meshes import edge_lengths
 
 import adaptmg.mesh.netgen_solid as module
-from adaptmg.mesh import check_mesh, from_step, graded, quality
+from adaptmg.mesh import check_mesh, graded, quality
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
 from adaptmg.mesh.netgen_solid import built_shape, check_volume, solid_mesh
 from adaptmg.mesh.soundness import check_overlap
@@ -175,7 +175,7 @@ def test_faces_of_an_unknown_kind_are_left_to_netgen(tmp_path, caplog):
     wire = occ.Wire([edge, *(occ.Segment(a, b) for a, b in itertools.pairwise(corners))])
     occ.Face(wire).Extrude(occ.Vec(0, 0, 1)).WriteStep(str(tmp_path / "wavy.step"))
     with caplog.at_level(logging.INFO, logger=module.__name__):
-        mesh = from_step(tmp_path / "wavy.step", 0.1e-3)
+        mesh = graded(StepFile(tmp_path / "wavy.step"), 0.1e-3)
     assert "faces other than planes, cylinders" in caplog.text
     check_mesh(replace(mesh, source=None))
     assert 400 < mesh.n_nodes < 8000

@@ -2,11 +2,23 @@
 
 import numpy as np
 import pytest
-from netgen.occ import Axis, Box, Compound, Cylinder, Glue, Pnt, Vec, X, Y, Z
+import step_assembly
+from netgen.occ import Axis, Box, Compound, Cylinder, Glue, Pnt, Sphere, Vec, X, Y, Z
 
-from adaptmg.mesh import as_mesh, check_mesh
-from adaptmg.mesh.step import from_step, step_mesh, step_names
+import adaptmg as am
+from adaptmg.mesh import as_mesh, check_mesh, step_table, touching
+from adaptmg.mesh.step import step_mesh
 from adaptmg.problem.solid_domains import StepFile
+
+
+def from_step(path, size, boundary_sizes=None, *, unit=1e-3, names=None, **options):
+    return step_mesh(StepFile(path, unit, names or {}), size, boundary_sizes, **options)
+
+
+def step_names(path):
+    faces = step_table(path)
+    return {solid: tuple(own.face[own.face != ""]) for solid, own in faces.groupby("solid", sort=False)}
+
 
 SIDES = ("left", "right", "front", "back", "bottom", "top")
 
@@ -127,6 +139,77 @@ def test_units(two):
 def test_bad_arguments(two, arguments, message):
     with pytest.raises(ValueError, match=message):
         from_step(two, **({"size": 5e-3} | arguments))
+
+
+@pytest.fixture(scope="module")
+def clamped(tmp_path_factory):
+    """A plate on a pin with a clearance of .1 mm, three nuts, two of them on the plate; mm."""
+    plate = Box(Pnt(0, 0, 0), Pnt(20, 20, 5)) - Cylinder(Pnt(5, 5, 0), Z, 2.1, 5)
+    nut, pin = Cylinder(Pnt(0, 0, 0), Z, 4, 3) - Cylinder(Pnt(0, 0, 0), Z, 2, 3), Cylinder(Pnt(0, 0, 0), Z, 2, 9)
+    return step_assembly.write(
+        tmp_path_factory.mktemp("step") / "clamped.step", {"plate": plate, "nut": nut, "pin": pin},
+        [("plate", "plate:1", (0, 0, 0)), ("nut", "NAUO1", (5, 5, 5)), ("nut", "", (5, 5, -3)),
+         ("pin", "pin:7", (5, 5, -2)), ("nut", "nut:4", (15, 15, 5.5))])
+
+
+def test_products_name_the_solids_of_an_assembly(clamped):
+    assert list(step_names(clamped)) == ["plate", "nut", "nut_2", "pin", "nut_3"]
+    assert list(step_names(StepFile(clamped, solids=["pin", "nut.2"]))) == ["pin", "nut_2"]
+    assert list(step_names(StepFile(clamped, solids=["nut"]))) == ["nut", "nut_2", "nut_3"]
+    domain = StepFile(clamped, names={"nut_2": "lower"}, solids=("lower", "plate"))
+    mesh = am.mesh.graded(domain, 4e-3)
+    assert mesh.bodies == ("lower", "plate") and mesh.points[:, 2].min() == pytest.approx(-3e-3)
+    for wrong in ("nuts", "nut.4", "nut.0"):
+        with pytest.raises(ValueError, match=f"there is no solid '{wrong}'.*holds plate, nut, nut_2, pin, nut_3"):
+            step_names(StepFile(clamped, solids=[wrong]))
+
+
+def test_a_table_finds_faces_by_what_they_are_like(clamped, tmp_path):
+    table = step_table(clamped)
+    solids = table[table.kind == "solid"].set_index("solid")
+    assert solids.volume["pin"] == pytest.approx(np.pi * 36e-9) and solids.z["nut_2"] == pytest.approx(-1.5e-3)
+    assert solids.loc["plate", ["dx", "dy", "dz"]].tolist() == pytest.approx([20e-3, 20e-3, 5e-3], rel=1e-6)
+    upper = table[(table.solid == "plate") & (table.nz > 0.99)]
+    assert len(upper) == 1 and upper.area.item() == pytest.approx((400 - np.pi * 2.1**2) * 1e-6)
+    assert upper.z.item() == pytest.approx(5e-3) and np.isnan(upper.radius.item())
+    round_ = table[table.kind == "cylinder"]
+    assert sorted(round_.radius) == pytest.approx([2e-3] * 4 + [2.1e-3] + [4e-3] * 3)
+    # outward, whatever the orientation of a face in the file
+    for _, faces in table[table.kind == "plane"].groupby("solid"):
+        own = solids.loc[faces.solid.iloc[0]]
+        assert ((faces.x - own.x) * faces.nx + (faces.y - own.y) * faces.ny + (faces.z - own.z) * faces.nz > 0).all()
+    Sphere(Pnt(1, 2, 3), 4).WriteStep(str(tmp_path / "ball.step"))
+    ball = step_table(StepFile(tmp_path / "ball.step", unit=1.0)).iloc[1]
+    assert (ball.kind, ball.radius) == ("sphere", pytest.approx(4)) and ball.area == pytest.approx(64 * np.pi)
+
+
+def test_faces_that_lie_on_each_other_are_pairs(clamped):
+    table = step_table(clamped).set_index(["solid", "face"])
+
+    def found(**options):
+        return {(pair.slave, pair.master) for pair in touching(clamped, **options)}
+
+    tight = found()
+    # the smaller face is the slave: a nut is screwed on the pin, and one sits on the plate
+    assert {(a.split(".")[0], b.split(".")[0]) for a, b in tight} == {
+        ("nut", "plate"), ("nut_2", "plate"), ("nut", "pin"), ("nut_2", "pin")}
+    for slave, master in tight:
+        a, b = (table.loc[tuple(name.split("."))] for name in (slave, master))
+        assert a.area <= b.area and (a.kind, b.kind) in (("plane", "plane"), ("cylinder", "cylinder"))
+        assert a.kind == "cylinder" or a.nz * b.nz == pytest.approx(-1)
+    loose = found(tolerance=0.15e-3) - tight
+    radii = [table.loc[tuple(name.split(".")), "radius"] for pair in loose for name in pair]
+    assert radii == pytest.approx([2.1e-3, 2e-3])
+    assert found(tolerance=0.6e-3) - tight - loose == {("nut_3.face3", "plate.face3")}
+
+
+def test_a_step_file_is_drawn_with_its_faces(clamped):
+    chosen = StepFile(clamped, solids=["plate", "nut.1"])
+    posed = am.ContactProblem(
+        domain=chosen, material=am.Solid(young=2e11, poisson=0.3), law=am.Coulomb(0.2), contact=touching(chosen),
+        supports=[am.Support("plate.face5", x=0, y=0, z=0)], loads=[am.Pressure("nut.face2", 1e6)])
+    texts = {text.get_text() for text in am.plot.problem(posed).axes[0].texts}
+    assert len(texts) >= 3 and texts <= {f"{body}.face{k}" for body in ("nut", "plate") for k in range(1, 8)}
 
 
 def test_bad_files(tmp_path):
