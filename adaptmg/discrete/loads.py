@@ -27,7 +27,7 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg.discrete.anisotropic import moduli, tensors
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, stiffness
-from adaptmg.discrete.smoothed import element_measures, smoothed, smoothed_stiffness
+from adaptmg.discrete.smoothed import EDGE_PART, element_measures, smoothed, smoothed_stiffness
 from adaptmg.discrete.supports import node_at
 from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays
@@ -128,7 +128,7 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[
     k = mesh.bodies.index(load.body)
     if isinstance(materials[k], PlaneStress):
         strain[:, :, 2] = 0.0
-    stress = _stress(mesh, materials, here, strain)
+    stress = _stress(mesh, materials, here, strain, EDGE_PART if elements == "smoothed" else np.inf)
     cells, dim = mesh.elements[here], mesh.dim
     corners = mesh.points[cells]
     gradients = np.linalg.inv(corners[:, 1:] - corners[:, :1])
@@ -142,11 +142,14 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[
     return result
 
 
-def _stress(mesh: MeshArrays, materials: tuple[Elastic, ...], here: np.ndarray, strain: np.ndarray) -> np.ndarray:
-    """Stress tensors (n, n_points, 3, 3) of normal strains (n, n_points, 3) in the elements ``here`` of one body."""
-    own, one = moduli(mesh, materials), materials[int(mesh.element_body[here[0]])]
+def _stress(mesh: MeshArrays, materials: tuple[Elastic, ...], here: np.ndarray, strain: np.ndarray, most: float
+            ) -> np.ndarray:
+    """Stress tensors (n, n_points, 3, 3) of normal strains (n, n_points, 3) in the elements ``here`` of one body, whose
+    first Lame constant is cut off at ``most`` shear moduli."""
+    own, one = moduli(mesh, materials, most), materials[int(mesh.element_body[here[0]])]
     if own is None:
-        stress = one.lame * strain.sum(axis=2, keepdims=True) + 2 * one.shear_modulus * strain
+        mu = one.shear_modulus
+        stress = min(one.lame, most * mu) * strain.sum(axis=2, keepdims=True) + 2 * mu * strain
         return stress[..., None] * np.eye(3)
     stress = np.einsum("nij,nqj->nqi", own.table[own.rows[here], :, :3], strain)
     return tensors(stress.reshape(-1, stress.shape[2])).reshape(*stress.shape[:2], 3, 3)
