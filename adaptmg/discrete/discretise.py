@@ -48,8 +48,8 @@ from adaptmg.discrete.sides import with_sides
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import fixed_dofs, held_directions, inclined_supports, supported_nodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
-from adaptmg.problem.contact_problem import Contact, ContactProblem, check_law
-from adaptmg.problem.laws import Law
+from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.problem.laws import Law, NodalLaw, check_law
 from adaptmg.problem.load_path import DEFAULT, name_in_path
 from adaptmg.problem.loads import InitialStrain, Preload
 from adaptmg.problem.moving import Moving, Obstacle, Rigid
@@ -110,9 +110,22 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
 
 
 def _nodal_law(problem: ContactProblem, mesh: MeshArrays, contact: ContactNodes) -> Law:
-    law = problem.law.at_nodes(mesh.points[contact.nodes], contact.weights)
-    check_law(law)  # a user's own may return anything
-    return law
+    points = mesh.points[contact.nodes]
+    laws = [problem.law if one.law is None else one.law for one in problem.contact]
+    if all(one is problem.law for one in laws):
+        law = problem.law.at_nodes(points, contact.weights)
+        check_law(law)  # a user's own may return anything
+        return law
+    bounds = np.zeros((2, len(contact)))
+    for k, one in enumerate(laws):
+        own = contact.boundary == k
+        if not own.any():
+            continue
+        law = one.at_nodes(points[own], contact.weights[own])
+        check_law(law)
+        check_bounds(law, int(own.sum()))
+        bounds[:, own] = law.bounds(int(own.sum()))
+    return NodalLaw(*bounds)
 
 
 def _strain_free(problem: ContactProblem, mesh: MeshArrays, materials: Materials) -> tuple[np.ndarray, float] | None:
@@ -124,9 +137,11 @@ def _strain_free(problem: ContactProblem, mesh: MeshArrays, materials: Materials
 
 
 def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
-    """Names of the parts that may have other values than ``before``; functions may return others."""
-    return frozenset(name for name in ("material", "supports", "contact", "loads", "elements")
-                     if not same(getattr(problem, name), getattr(before, name)))
+    """Names of the parts but laws that may have other values than ``before``; functions may return others."""
+    surfaces = [tuple(replace(one, law=None) for one in posed.contact) for posed in (problem, before)]
+    return frozenset({"contact"} if not same(*surfaces) else ()) | frozenset(
+        name for name in ("material", "supports", "loads", "elements")
+        if not same(getattr(problem, name), getattr(before, name)))
 
 
 _PLAIN = (type(None), bool, int, float, str, np.number, Path)

@@ -41,8 +41,7 @@ from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.exchange import Exchange, exchanged
 from adaptmg.discrete.inclined import Inclined
 from adaptmg.discrete.rigid_modes import rigid_body_modes
-from adaptmg.problem.contact_problem import check_law
-from adaptmg.problem.laws import Law
+from adaptmg.problem.laws import Law, check_law
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

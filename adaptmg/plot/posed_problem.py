@@ -267,7 +267,7 @@ def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
     uses = [(support.place, _SUPPORT, support_text(support, posed.dim, "rz" if posed.axisymmetric else "xyz"))
             for support in posed.supports]
     for contact in posed.contact:
-        uses.append((contact.boundary, _CONTACT, "contact"))
+        uses.append((contact.boundary, _CONTACT, "contact" if contact.law is None else _law_text(contact.law)))
         if isinstance(contact, ContactPair):
             uses.append((contact.master, _MASTER, "  its master"))
     return uses

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, get_args
 
 from adaptmg import _checks as checks
 from adaptmg._text import brief, html_fields
-from adaptmg.problem.laws import Law
+from adaptmg.problem.laws import Law, check_law
 from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Preload, Pressure, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStress
 from adaptmg.problem.moving import Moving, Obstacle, Rigid
@@ -20,13 +20,6 @@ _MOST_STIFFER = 1e15  # between the Young's moduli of two bodies
 _LOADS = (Pressure, Traction, BodyForce, InitialStrain, Preload)
 ELEMENTS = ("linear", "smoothed")
 _MOST_POISSON = 0.4  # of smoothed elements
-
-
-def check_law(law: object) -> None:
-    """TypeError unless ``law`` is an instance with the two methods of a law."""
-    words = "Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds"
-    for method in ("at_nodes", "bounds"):
-        checks.offers("law", law, method, words)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +34,8 @@ class Contact:
         What it may touch; a user-defined one offers ``contact`` as :meth:`Plane.contact`.
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
+    law : Frictionless, Tresca, Coulomb or user-defined, optional
+        In place of the problem's. A node on two contact boundaries has the law of the one named first.
 
     Examples
     --------
@@ -51,8 +46,11 @@ class Contact:
     boundary: str
     obstacle: Obstacle
     allow_interference: bool = False
+    _: KW_ONLY
+    law: Law | None = None
 
     def __post_init__(self) -> None:
+        check_law(self.law, none=True)
         checks.boundary_name("boundary", self.boundary)
         checks.offers("obstacle", self.obstacle, "contact", "a Plane or a GapFunction, or offer contact()")
         checks.flag("allow_interference", self.allow_interference)
@@ -72,7 +70,7 @@ class ContactProblem:
         Of all bodies, or of each body by its name.
     contact : Contact, ContactPair or sequence of them
     law : Frictionless, Tresca, Coulomb or user-defined
-        The same on all contact boundaries (its parameters may vary in space).
+        On all contact boundaries that have no law of their own; its parameters may vary in space.
     loads : sequence of Pressure, Traction, BodyForce, InitialStrain, Preload
     supports : sequence of Support, Symmetry, PointSupport, Spring, PointSpring
     domain : Domain, optional

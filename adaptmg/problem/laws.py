@@ -36,6 +36,29 @@ class Law(Protocol):
         """Return nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
 
 
+def check_law(law: object, *, none: bool = False) -> None:
+    """TypeError unless ``law`` is an instance with the two methods of a law, or None where that may be."""
+    words = "Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds"
+    for method in ("at_nodes", "bounds") * (law is not None or not none):
+        checks.offers("law", law, method, words)
+
+
+@dataclass(frozen=True, eq=False)
+class NodalLaw:
+    """Limits and coefficients of the contact nodes of boundaries with laws of their own."""
+
+    slip_limit: np.ndarray  # (n_contact,), N
+    friction: np.ndarray  # (n_contact,)
+
+    __repr__ = brief
+
+    def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> NodalLaw:
+        return self
+
+    def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
+        return self.slip_limit, self.friction
+
+
 def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
     if callable(value):
         raise TypeError(f"{name}: a function of position must be evaluated at the nodes first (at_nodes)")

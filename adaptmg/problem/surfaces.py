@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
+from adaptmg.problem.laws import Law, check_law
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +124,8 @@ class ContactPair:
     gap : float or callable, optional
         Initial gap along the slave's normal, m, in place of the computed one: a number, or a function of position
         (n, dim) -> (n,).
+    law : Frictionless, Tresca, Coulomb or user-defined, optional
+        In place of the problem's. A node on two contact boundaries has the law of the one named first.
 
     Examples
     --------
@@ -138,8 +141,10 @@ class ContactPair:
     allow_interference: bool = False
     reach: float | None = None
     gap: float | Callable[[np.ndarray], np.ndarray] | None = None
+    law: Law | None = None
 
     def __post_init__(self) -> None:
+        check_law(self.law, none=True)
         checks.boundary_name("slave", self.slave)
         checks.boundary_name("master", self.master)
         if self.slave == self.master:
