@@ -85,6 +85,12 @@ class Coupling:
         """T^-T f for forces (n_dofs,) in relative coordinates; dual."""
         return forces - self._by_dof.T @ forces
 
+    def relative_rows(self, rows: sparse.csr_array) -> sparse.csr_array:
+        """B T for rows (n, n_dofs) that act on displacements."""
+        result = sparse.csr_array(rows + rows @ self._series)
+        result.sort_indices()
+        return narrowed(result)
+
     def transformed(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
         """T' A T in blocks, exactly symmetric, for a symmetric A (n_dofs, n_dofs)."""
         dim = self.dim

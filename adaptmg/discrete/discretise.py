@@ -47,6 +47,7 @@ from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.sides import with_sides
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import fixed_dofs, held_directions, inclined_supports, supported_nodes
+from adaptmg.discrete.volumes import volume_groups
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.laws import Law, NodalLaw, check_law
@@ -103,6 +104,11 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
              "law": _nodal_law(problem, mesh, contact),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)), "inclined": held.inclined,
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
+    if problem.elements == "smoothed":
+        parts["volumes"] = volume_groups(mesh, materials)
+        if parts["volumes"] is not None and held.inclined is not None:
+            raise ValueError("supports along directions that are no axes cannot hold smoothed elements with poisson "
+                             "above .4; turn the problem, or take elements=\"linear\"")
     parts["strain_free"] = _strain_free(problem, mesh, materials)
     for array in (parts["load"], fixed, values, *bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied

@@ -41,6 +41,7 @@ from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.exchange import Exchange, exchanged
 from adaptmg.discrete.inclined import Inclined
 from adaptmg.discrete.rigid_modes import rigid_body_modes
+from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import Law, check_law
 
 
@@ -81,6 +82,9 @@ class DiscreteProblem(Unknowns):
     exchange : Exchange, optional
         Contact as it was posed where slave and master were exchanged at single nodes
         (:mod:`adaptmg.discrete.exchange`).
+    volumes : Volumes, optional
+        Of nearly incompressible bodies the groups of nodes whose mean volume strains add to the stiffness
+        (:mod:`adaptmg.discrete.volumes`).
 
     Examples
     --------
@@ -107,6 +111,7 @@ class DiscreteProblem(Unknowns):
     exchange: Exchange | None = None
     strain_free: tuple[np.ndarray, float] | None = None
     inclined: Inclined | None = None
+    volumes: Volumes | None = None
 
     if TYPE_CHECKING:
         def __init__(self, *, matrix: sparse.sparray | sparse.spmatrix, load: ArrayLike, fixed: ArrayLike, law: Law,
@@ -114,8 +119,8 @@ class DiscreteProblem(Unknowns):
                      coordinates: ArrayLike | None = None, near_nullspace: ArrayLike | None = None,
                      name: str = "discrete problem", coupling: Coupling | None = None,
                      bodies: Mapping[str, np.ndarray] | None = None, exchange: Exchange | None = None,
-                     strain_free: tuple[np.ndarray, float] | None = None, inclined: Inclined | None = None
-                     ) -> None: ...
+                     strain_free: tuple[np.ndarray, float] | None = None, inclined: Inclined | None = None,
+                     volumes: Volumes | None = None) -> None: ...
 
     @classmethod
     def assembled(cls, weights: sparse.csr_array | None = None, **parts: Any) -> DiscreteProblem:
@@ -218,6 +223,18 @@ class DiscreteProblem(Unknowns):
         """Whether matrix, fixed dofs, contact nodes and normals are those of another one."""
         return self._structure is other._structure
 
+    def under(self, pressures: np.ndarray | None) -> DiscreteProblem:
+        """The same with given pressures (n_groups,) of ``volumes``, Pa, as part of the load."""
+        if self.volumes is None or pressures is None:
+            return self
+        return self.posing(load=self.load - self.volumes.forces(pressures))
+
+    def need_no_volumes(self, what: str) -> None:
+        """ValueError if there are volumes, which ``what`` cannot take."""
+        if self.volumes is not None:
+            raise ValueError(f"grids: {what} cannot solve for smoothed elements with poisson above .4; use "
+                             "am.FullMultigrid(), am.Multigrid(correction=am.Truncated()) or am.ActiveSet()")
+
     def __post_init__(self) -> None:
         checks.instance("contact", self.contact, ContactNodes, "ContactNodes(...)")
         check_law(self.law)
@@ -250,6 +267,9 @@ class DiscreteProblem(Unknowns):
             arrays["bodies"] = checked_bodies(self.bodies, n // dim)
         for name, value in arrays.items():
             object.__setattr__(self, name, value)
+        if self.volumes is not None:
+            checks.instance("volumes", self.volumes, Volumes, "Volumes(...)")
+            check_arrays.sparse_matrix("volumes.rows", self.volumes.rows, (len(self.volumes), n))
         if self.coupling is not None:
             checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
         if self.coupling is not None and not np.array_equal(self.coupling.fixed, fixed):
@@ -310,8 +330,12 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     load.flags.writeable = False
     if strain_free is not None:
         strain_free = coupling.relative_forces(strain_free[0]), strain_free[1]
+    volumes = parts.get("volumes")
+    if volumes is not None:
+        volumes = volumes.with_rows(coupling.relative_rows(volumes.rows))
     return parts | {"matrix": coupling.transformed(parts["matrix"]), "load": load, "law": law, "contact": contact,
-                    "near_nullspace": modes, "coupling": coupling, "exchange": exchange, "strain_free": strain_free}
+                    "near_nullspace": modes, "coupling": coupling, "exchange": exchange, "strain_free": strain_free,
+                    "volumes": volumes}
 
 
 def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:

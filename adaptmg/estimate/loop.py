@@ -17,6 +17,7 @@ import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from adaptmg.estimate.step import Engine, Limits, Step, expected_seconds, settle
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.tables import with_refinement
+from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.problem import LoadPath, step_problem
 from adaptmg.solver.advice import once
 from adaptmg.solver.load_path import PathResult, solve_path
@@ -181,12 +183,12 @@ class AdaptiveLoop:
         return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {most} are allowed"
 
     @one_blas_thread()
-    def _carry(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, np.ndarray]:
+    def _carry(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, Result]:
         self._report("assembly", mesh.n_nodes)
         before = last.hierarchy
         with self.clock.phase("levels"):
             grown = appended(before, mesh, self.parts.engine)
-            start = carried(grown, len(before) - 1, last.result.displacement)
+            start = carried(grown, len(before) - 1, last.result)
             grown = thinned(grown, last=self._full(mesh.n_nodes))
         for name, seconds in (item for item in grown.timings.items() if item[0] != "compiling"):
             # what the hierarchy spent is not part of choosing levels
@@ -196,7 +198,7 @@ class AdaptiveLoop:
         return grown, start
 
     @one_blas_thread()
-    def _solve(self, hierarchy: Hierarchy, start: np.ndarray | None) -> Step:
+    def _solve(self, hierarchy: Hierarchy, start: Result | None) -> Step:
         """Solve, estimate and store a step."""
         number, last, parts = len(self.done), self.done[-1] if self.done else None, self.parts
         self._report("solve", hierarchy.finest.n_nodes)
@@ -262,7 +264,7 @@ class AdaptiveLoop:
                        "expected_seconds": float("nan") if last is None else expected_seconds(self.done, self.limits)})
 
 
-def solved(hierarchy: Hierarchy, solver: Solver | None, start: np.ndarray | None) -> Result:
+def solved(hierarchy: Hierarchy, solver: Solver | None, start: Result | None) -> Result:
     """Return the solution on the finest level."""
     if solver is None or not _applies(solver, hierarchy):
         method = FullMultigrid if start is None else Multigrid
@@ -316,12 +318,13 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
     return hierarchy
 
 
-def carried(hierarchy: Hierarchy, below: int, displacement: np.ndarray) -> np.ndarray:
-    """Return a displacement of a level interpolated to the finest one, level by level."""
-    values = hierarchy[below].discrete.relative(displacement)
-    for level in hierarchy.levels[below + 1:]:
+def carried(hierarchy: Hierarchy, below: int, result: Result) -> Result:
+    """Return the result of a level with displacement and pressures interpolated to the finest one, level by level."""
+    values, pressures = hierarchy[below].discrete.relative(result.displacement), result.pressures
+    for coarse, level in pairwise(hierarchy.levels[below:]):
         values = level.prolongation @ values
-    return hierarchy.finest.discrete.physical(values)
+        pressures = prolonged_pressures(coarse.discrete, level.discrete, level.prolongation, pressures)
+    return replace(result, displacement=hierarchy.finest.discrete.physical(values), pressures=pressures)
 
 
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:

@@ -190,9 +190,10 @@ class Posed:
 
     @cached_property
     def _moved(self) -> tuple[np.ndarray, np.ndarray]:
-        """Unknowns and the forces A u (n_dofs,), between bodies relative."""
+        """Unknowns and the forces A u (n_dofs,), between bodies relative; with those of the pressures of volumes."""
         unknowns = self.discrete.relative(self.result.displacement).reshape(-1)
-        return unknowns, self.discrete.matrix @ unknowns
+        forces, volumes = self.discrete.matrix @ unknowns, self.discrete.volumes
+        return unknowns, forces if volumes is None else forces + volumes.forces(self.result.pressures)
 
     def check_loads(self) -> None:
         """Raise ValueError unless the loads of the problem are those of the result, b = A u - reactions - contact

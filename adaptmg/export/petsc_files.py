@@ -179,6 +179,12 @@ def _discrete(prefix: str, discrete: DiscreteProblem) -> Iterator[Part]:
     for k in range(0 if modes is None else modes.shape[1]):
         yield Part(f"{prefix}mode{k}", "Vec", f"near null space, mode {k} of {modes.shape[1]} (a rigid motion)", "",
                    modes[:, k], dim)
+    if discrete.volumes is not None:
+        volumes = discrete.volumes
+        yield Part(f"{prefix}volumes", "Mat", "B: A u + B' p = b, B u = C p with the pressures p of groups of nodes",
+                   "m", volumes.rows)
+        yield Part(f"{prefix}volume_compliance", "Vec", "C, volumes of the groups over their stiffness", "m/Pa",
+                   volumes.areas * volumes.compliance)
     if coupling is not None:
         identity = sparse.eye_array(discrete.n_dofs, format="csr")
         yield Part(f"{prefix}coupling", "Mat", "T: displacement u = T w of the unknowns w, which at contact nodes are "

@@ -27,6 +27,7 @@ from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncation import Truncation
+from adaptmg.multigrid.volume_pressures import VolumePressures
 from adaptmg.smoother.blocks import ZERO
 
 
@@ -48,8 +49,10 @@ class TruncatedStep:
 
     def __init__(self, cycle: LinearCycle, number: int, contact: TruncatedContact, load: np.ndarray,
                  unknowns: np.ndarray, depth: int, motions: RigidMotions | None = None,
-                 interface: Interface | None = None, interface_sweeps: int = 0) -> None:
-        self.cycle, self.number, self.contact, self.load = cycle, number, contact, load
+                 interface: Interface | None = None, interface_sweeps: int = 0,
+                 pressures: VolumePressures | None = None) -> None:
+        self.cycle, self.number, self.contact, self.pressures = cycle, number, contact, pressures
+        self.load = load
         self.level, levels = cycle.levels[number], cycle.levels[:number + 1]
         self.matrix, self.coarse = self.level.matrix, self.level.below.matrix
         self.truncation = Truncation([level.matrix for level in levels],
@@ -66,6 +69,8 @@ class TruncatedStep:
         self.smooth()
         # u'Au = u'f - u'r; the linearisation truncates r
         energy = _product(self.unknowns, self.load) - _product(self.unknowns, self.residual) if with_energy else np.nan
+        if self.pressures is not None:
+            energy += self.pressures.volumes.energy(self.pressures.values)
         return self.linearise(safe, np.inf if trusted is None else trusted(self.unknowns), energy)
 
     def smooth(self) -> None:
@@ -85,6 +90,12 @@ class TruncatedStep:
         self._restricted = np.empty(self.coarse.n_dofs)
         elsewhere = max(self.level.restrict(self.residual, self._restricted) - at_contact, 0.0)
         self.cycle.recorder.visit(self.number, "restrict")
+        if self.pressures is not None:
+            self._missed = self.pressures.missed(self.unknowns)
+            natural += self.pressures.forces_missed(self._missed)
+            self.cycle.recorder.count(1.0, self.pressures.nonzeros)
+            if changed:
+                self.pressures.hesitate()
         residual = float(np.sqrt(elsewhere + natural))
         frozen = safe or residual > trusted
         if changed or frozen != self._frozen:
@@ -98,10 +109,12 @@ class TruncatedStep:
     def correct(self, shorten: bool = False) -> float:
         """Correct, project and search; returns the energy of the coarse correction, N m. It estimates the energy of the
         error that the correction removes. ``shorten``: up to where the first open node closes."""
-        combined, load = self._recombined()
+        start = self._iterate()
+        combined, residual = self._recombined(start)
+        load, proposed = residual[:self.coarse.n_dofs], combined[:len(self._unknowns)].copy()
         # past iterates make up for what a cheaper cycle leaves
         correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
-        energy, proposed, before = _product(load, correction), combined.copy(), self.contact.values.copy()
+        energy, before = _product(load, correction), self.contact.values.copy()
         self.level.prolong(correction, proposed)
         proposed[self.matrix.fixed] = 0.0
         if shorten:
@@ -110,9 +123,14 @@ class TruncatedStep:
         self.contact.project(proposed)
         if self._frozen:
             self._search(proposed, before)
-        smoothed = [] if combined is self._unknowns else [(self._unknowns, self._restricted)]
-        self._past = [(combined, load), *smoothed, *self._past][:self.depth]
+        smoothed = [] if combined is start[0] else [start]
+        self._past = [(combined, residual), *smoothed, *self._past][:self.depth]
         self._unknowns, self._corrected = proposed, True
+        if self.pressures is not None:
+            self.pressures.values = combined[len(proposed):]
+            energy += self.pressures.advance(proposed)
+            self.load = self._given
+            self.cycle.recorder.count(2.0, self.pressures.nonzeros)
         self.cycle.recorder.visit(self.number, "prolong")
         return energy
 
@@ -146,6 +164,23 @@ class TruncatedStep:
         #: iterates and their restricted residuals, newest first, in turns a recombined one and the one it was made from
         self._past: list[tuple[np.ndarray, np.ndarray]] = []
 
+    @property
+    def load(self) -> np.ndarray:
+        """What the matrix of this level balances (n_dofs,): the load without what pressures of groups carry."""
+        return self._load
+
+    @load.setter
+    def load(self, given: np.ndarray) -> None:
+        self._given = self._load = given
+        if self.pressures is not None:
+            self._load = given - self.pressures.volumes.forces(self.pressures.values)
+
+    def _iterate(self) -> tuple[np.ndarray, np.ndarray]:
+        """The iterate and its residual, restricted; with pressures these and what they miss behind."""
+        if self.pressures is None:
+            return self._unknowns, self._restricted
+        return np.append(self._unknowns, self.pressures.values), np.append(self._restricted, self._missed)
+
     def _projected_sweeps(self) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
         matrix, c = self.matrix, self.contact
@@ -163,20 +198,21 @@ class TruncatedStep:
                                *c.node_data, self.unknowns, self.residual)
         self.cycle.recorder.count(1.0, self.interface.nonzeros)
 
-    def _recombined(self) -> tuple[np.ndarray, np.ndarray]:
+    def _recombined(self, iterate: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         r"""The iterate and its restricted residual, recombined with the last ones: the weights of
         :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
         the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays, the residual is
         affine in u (3D: nearly). With recombined iterates alone, few are as good as all of them where the problem is
         symmetric; the others keep what Coulomb's law needs."""
-        unknowns, load = self._unknowns, self._restricted
+        unknowns, load = iterate
         if self._past:
             dim, (iterates, residuals) = self.coarse.dim, zip(*self._past, strict=True)
             d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
+            d = d if self.pressures is None else np.append(d, self.pressures.weights)
             changes = np.array(residuals) - load
             alpha = least_weights(load, changes, d)
             combined = unknowns + alpha @ (np.array(iterates) - unknowns)
-            if self.contact.admits(combined):
+            if self.contact.admits(combined[:len(self._unknowns)]):
                 return combined, load + alpha @ changes
         return unknowns, load
 

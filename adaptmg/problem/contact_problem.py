@@ -80,7 +80,9 @@ class ContactProblem:
         matrix with about twice the entries in the plane, three times in space; as many cycles in 1 to 2.7 times the
         seconds. Smoothed elements pay in bending (two elements across a cantilever have .92 of the deflection, linear
         ones .52), for displacements and forces on uniform and adapted meshes (errors 2 to 20 times smaller), and for
-        stresses (1.5 times). They do not pay for where contact ends, and peaks of pressure.
+        stresses (1.5 times). They do not pay for where contact ends, and peaks of pressure. For
+        Poisson's ratios above .4, up to .5 itself, they do not lock: mean volume strains over groups of nodes are part
+        of the energy (:mod:`adaptmg.discrete.volumes`), and ``Result.pressures`` of the solution.
     name : str
         For tables and pictures.
     reference : mapping
@@ -142,15 +144,26 @@ class ContactProblem:
             self.check_bodies(self.bodies)
 
     def _check_elements(self) -> None:
-        if checks.choice("elements", self.elements, ELEMENTS) == "linear":
-            return
+        linear = checks.choice("elements", self.elements, ELEMENTS) == "linear"
         for one in [self.material] if isinstance(self.material, Elastic) else self.material.values():
-            if one.anisotropy is not None and one.anisotropy.varies:
-                raise ValueError("axes of an anisotropic material must not vary in a body with smoothed elements: take "
-                                 "elements=\"linear\"")
-            if one.poisson > _MOST_POISSON and not isinstance(one, PlaneStress):
-                raise ValueError(f"poisson must be at most {_MOST_POISSON:g} with smoothed elements, got "
-                                 f"{one.poisson:g}: take elements=\"linear\"")
+            if linear and one.incompressible:
+                raise ValueError(f"poisson must be less than 0.5 with linear elements, got {one.poisson!r}: take "
+                                 "elements=\"smoothed\"")
+            if not linear and one.anisotropy is not None:
+                self._check_anisotropic(one)
+        for load in [] if linear else [load for load in self.loads if isinstance(load, InitialStrain | Preload)]:
+            one = self.material if isinstance(self.material, Elastic) else self.material.get(load.body)
+            if one is not None and one.poisson > _MOST_POISSON and not isinstance(one, PlaneStress):
+                raise ValueError(f"poisson must be at most {_MOST_POISSON:g} where initial strains act on smoothed "
+                                 f"elements, got {one.poisson:g}: take elements=\"linear\"")
+
+    def _check_anisotropic(self, one: Elastic) -> None:
+        if one.anisotropy.varies:
+            raise ValueError("axes of an anisotropic material must not vary in a body with smoothed elements: take "
+                             "elements=\"linear\"")
+        if one.poisson > _MOST_POISSON and not isinstance(one, PlaneStress):
+            raise ValueError(f"an anisotropic material must have a mean Poisson's ratio of at most {_MOST_POISSON:g} "
+                             f"with smoothed elements, got {one.poisson:g}: take elements=\"linear\"")
 
     def _check_name_contact(self) -> None:
         """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""

@@ -13,6 +13,7 @@ along the second the strain :math:`-\nu_{23}\,\sigma_{22} / E_2` along the third
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -99,10 +100,11 @@ def _table(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
 class Elastic:
     """Linear elasticity; use one of the subclasses.
 
-    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5). Strains are to be small (a few per
-    cent). Above 0.45 linear elements lock, but in plane stress: they are too stiff, and stresses oscillate.
-    ``anisotropy`` is set by ``orthotropic`` and ``anisotropic``; ``young`` and ``poisson`` are then those of the
-    isotropic material with the same means over all directions.
+    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5]. Strains are to be small (a few per
+    cent). Above 0.45 linear elements lock, but in plane stress: they are too stiff, and stresses oscillate. Smoothed
+    ones do not (``ContactProblem.elements``), and 0.5 itself needs them. ``anisotropy`` is set by ``orthotropic`` and
+    ``anisotropic``; ``young`` and ``poisson`` are then those of the isotropic material with the same means over all
+    directions.
     """
 
     young: float
@@ -116,9 +118,8 @@ class Elastic:
                              "orthotropic(...) or anisotropic(...)")
         checks.convert(self, checks.quantity, "young", positive=True)
         checks.convert(self, checks.number, "poisson")
-        if not -1 + _FROM_LIMIT < self.poisson < 0.5 - _FROM_LIMIT:
-            raise ValueError(f"poisson must lie between -1 and 0.5 (both excluded, and by more than {_FROM_LIMIT:g}), "
-                             f"got {self.poisson!r}")
+        if not -1 + _FROM_LIMIT < self.poisson <= 0.5:
+            raise ValueError(f"poisson must be > -1 (by more than {_FROM_LIMIT:g}) and <= 0.5, got {self.poisson!r}")
 
     def __repr__(self) -> str:
         own = f", anisotropy={self.anisotropy!r}" if self.anisotropy is not None else ""
@@ -145,8 +146,14 @@ class Elastic:
 
     @property
     def lame(self) -> float:
-        """First Lame constant lambda as it enters the stress, Pa."""
-        return self.young * self.poisson / ((1 + self.poisson) * (1 - 2 * self.poisson))
+        """First Lame constant lambda as it enters the stress, Pa; infinite for Poisson's ratio 0.5."""
+        compressible = (1 + self.poisson) * (1 - 2 * self.poisson)
+        return self.young * self.poisson / compressible if compressible > 0 else math.inf
+
+    @property
+    def incompressible(self) -> bool:
+        """Whether ``lame`` is so large that only smoothed elements can take it."""
+        return self.lame > self.shear_modulus / _FROM_LIMIT
 
 
 class _Plane(Elastic):

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -41,6 +41,7 @@ from adaptmg.smoother.factorisation import Condensed, condense, condense_coarses
 from adaptmg.smoother.interior_point import ContactDofs, Interior, Span, interior_point
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, local_system
+from adaptmg.solver.augmented import Augmented
 from adaptmg.solver.iterate import Measure, State, StopTest, iterate
 from adaptmg.solver.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Outcome, Run, Status
@@ -108,6 +109,8 @@ class ActiveSet:
         checks.integer("max_steps", self.max_steps, 1)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+        if hierarchy.finest.discrete.volumes is not None:
+            return self._augmented(hierarchy, run, start)
         nested = self.nested_start and start is None
         if nested:
             hierarchy.need_discretised("the nested start of ActiveSet")
@@ -127,6 +130,36 @@ class ActiveSet:
             status = iterate(newton, stop, run if finest else None)
             start = local.to_cartesian(newton.unknowns)
         return Outcome(start, status, newton.cycles, self.rtol, stop.error_estimate, stop.rate)
+
+    def _augmented(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+        """Solve a finest problem with volumes, by one factorisation and perhaps several solves."""
+        if self.nested_start:
+            raise ValueError("nested_start=True: ActiveSet has no nested start for smoothed elements with poisson "
+                             "above .4; use FullMultigrid")
+        problem, number, pressures, cycles = hierarchy.finest.discrete, len(hierarchy) - 1, run.pressures, 0
+        with run.phase("setup"):
+            first = local_system(Augmented(problem, pressures).problem)
+        with run.phase("factorise"):
+            condensed = condense(first) if self.condensed else None
+        run.start_work_units = run.work_units
+        for solve in range(Augmented.MOST):
+            augmented = Augmented(problem, pressures)
+            local = local_system(augmented.problem, first.system)
+            factors = None if condensed is None else replace(condensed, full=local)
+            newton = _Newton(self, local, run, number, None if start is None else local.to_local(start),
+                             Measure(local, run), factors, augmented.pressures)
+            # a given start fits another load
+            done = solve > 0 and augmented.missed(start) <= self.rtol
+            last = augmented.exact or done or solve == Augmented.MOST - 1
+            stop = _NewtonTest(self.rtol, self.max_steps, newton.shortfall if last else None, stalled=None)
+            run.first_cycle += cycles
+            status = iterate(newton, stop, run)
+            run.first_cycle, cycles = run.first_cycle - cycles, cycles + newton.cycles
+            start = local.to_cartesian(newton.unknowns)
+            pressures = augmented.pressures(start)
+            if last:
+                break
+        return Outcome(start, status, cycles, self.rtol, stop.error_estimate, stop.rate, pressures=pressures)
 
 
 class _NewtonTest(StopTest):
@@ -159,10 +192,12 @@ class _Newton:
     FACTOR = 0.1
 
     def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int,
-                 start: np.ndarray | None, measure: Measure, condensed: Condensed | None = None) -> None:
+                 start: np.ndarray | None, measure: Measure, condensed: Condensed | None = None,
+                 pressures: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
         self.options, self.local, self.run, self.level, self._measure = options, local, run, level, measure
         self.equations_of: LinearSteps = (CondensedSteps(local, run, condensed) if options.condensed
                                           else SparseSteps(local, options.linear, run))
+        self._pressures = pressures
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
         self.cycles, self._hold_first = 0, start is None and options.start == "held"
         self._from_inside = start is None and options.start == "interior" and len(local.contact.gap) > 0
@@ -171,7 +206,8 @@ class _Newton:
         self._equations: Linearised | None = None
 
     def shortfall(self, rtol: float) -> float:
-        return self.run.shortfall(self.local.to_cartesian(self.unknowns), rtol)
+        solved = self.local.to_cartesian(self.unknowns)
+        return self.run.shortfall(solved, rtol, None if self._pressures is None else self._pressures(solved))
 
     def step(self) -> State | Status:
         if self._equations is not None or self._from_inside:
@@ -229,15 +265,19 @@ class _Newton:
             contact, at_contact, forces, self.equations_of.stiffness, self.FACTOR)
 
 
-def coarsest_solution(problem: DiscreteProblem, rtol: float) -> tuple[np.ndarray, int, float]:
-    """Displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular, and the numbers of its steps and
-    of the passes over its matrix."""
+def coarsest_solution(problem: DiscreteProblem, rtol: float) -> tuple[np.ndarray, np.ndarray | None, int, float]:
+    """Displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular, the pressures of its volumes,
+    and the numbers of its steps and of the passes over its matrix."""
+    if problem.volumes is not None:
+        augmented = Augmented(problem, None)
+        solution, _, steps, passes = coarsest_solution(augmented.problem, rtol)
+        return solution, augmented.pressures(solution), steps, passes
     options, condensed = ActiveSet(rtol=rtol), condense_coarsest(problem)
     local = condensed.full
     run = Run(unit=local.system.nonzeros)
     newton = _Newton(options, local, run, 0, None, Measure(local), condensed)
     iterate(newton, _NewtonTest(rtol, options.max_steps, stalled=None))
-    return local.to_cartesian(newton.unknowns), newton.cycles, run.work_units
+    return local.to_cartesian(newton.unknowns), None, newton.cycles, run.work_units
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.solver.aggregates import Aggregates, aggregates_of
 from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, correction, product_and_diagonal
 from adaptmg.solver.status_change import AtNodes, changed_status
+from adaptmg.solver.volume_error import mixed_correction
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,7 +37,9 @@ class Certificate:
     Attributes
     ----------
     lines : tuple of Condition
-        'equilibrium' (of free dofs, under the claimed contact forces), 'prescribed values', 'penetration', 'tension',
+        'equilibrium' (of free dofs, under the claimed contact forces), 'volumes' (of nearly incompressible bodies with
+        smoothed elements: mean volume strains against the pressures of groups), 'prescribed values', 'penetration',
+        'tension',
         'complementarity' (the smaller of pressure and gap, each in its scale), 'friction bound', 'slip direction'
         (the work of friction on its bound and opposite to the slip, less that of the claimed friction), 'slip along
         the force' (weighted by force), 'open, touching' (forces at open nodes), 'touching, open' (gaps at touching
@@ -112,17 +115,18 @@ class Certificate:
 
 @one_blas_thread()
 def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
-            known: Known | None = None, aggregates: Aggregates | None = None, rtol: float = 0.0) -> Certificate:
-    """Check a displacement and the contact forces and states that go with it. An energy error below a tenth of ``rtol``
-    is estimated by one step."""
+            known: Known | None = None, aggregates: Aggregates | None = None, rtol: float = 0.0,
+            pressures: np.ndarray | None = None) -> Certificate:
+    """Check a displacement and the contact forces and states that go with it; of a problem with volumes also their
+    ``pressures``, Pa. An energy error below a tenth of ``rtol`` is estimated by one step."""
     if aggregates is None and not bound:
         aggregates = aggregates_of(problem)
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
-        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, known)
+        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, known, pressures)
         energy, energy_rounding = found.energy_error(None if bound else aggregates, rtol)
-        lines = (found.equilibrium(), found.prescribed(), *found.normal(), *found.tangential(), *found.states(),
-                 found.balance())
+        lines = (found.equilibrium(), *found.volumes(), found.prescribed(), *found.normal(), *found.tangential(),
+                 *found.states(), found.balance())
     if found.idle:
         # forces that are rounding are no scale: what they leave is reported in N alone
         lines = tuple(replace(line, relative=0.0)
@@ -173,8 +177,8 @@ class Evidence:
     """What the lines are made from. Forces of coupled bodies are those of the bodies, not of relative coordinates."""
 
     def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims,
-                 known: Known | None = None) -> None:
-        self.problem, self.contact = problem, contact
+                 known: Known | None = None, pressures: np.ndarray | None = None) -> None:
+        self.problem, self.contact, self.pressures = problem, contact, pressures
         # contact as it was posed: between held bodies the problem may have nodes of the master in its place
         self.posed = problem.contact if problem.exchange is None else problem.exchange.contact
         self.nodes = self.posed.nodes
@@ -184,7 +188,10 @@ class Evidence:
         self.unknowns = problem.relative(self.u)
         if known is None:
             images, diagonal = product_and_diagonal(problem.matrix, self.unknowns.reshape(-1))
-            known = problem.load - images, float(np.sqrt(max(_sum(self.unknowns, images), 0.0))), diagonal
+            stored = _sum(self.unknowns, images)
+            if problem.volumes is not None:
+                stored += problem.volumes.energy(pressures)
+            known = problem.under(pressures).load - images, float(np.sqrt(max(stored, 0.0))), diagonal
         residual, energy, self.diagonal = known
         self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), energy**2)))
         self.fixed = problem.fixed.reshape(shape)
@@ -253,6 +260,13 @@ class Evidence:
         return Condition("equilibrium", self.tally.largest, self.tally.free, "N", _over(self.tally.free, self.force),
                          _over(self.rounding, self.force))
 
+    def volumes(self) -> tuple[Condition, ...]:
+        """What the mean volume strains of groups and their pressures miss, as forces on a facet."""
+        if self.problem.volumes is None:
+            return ()
+        volumes = self.problem.volumes
+        return (self._forces("volumes", volumes.scale * volumes.missed(self.unknowns.reshape(-1), self.pressures)),)
+
     def prescribed(self) -> Condition:
         return Condition("prescribed values", self.tally.furthest, self.tally.moved, "m",
                          _over(self.tally.furthest, self.length), 16 * _EPSILON)
@@ -317,7 +331,12 @@ class Evidence:
         forces[contact.nodes] += here.forces(contact.normals) - lawful
         moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
         exerted = forces[contact.nodes] + lawful
-        found = correction(matrix, diagonal, status, forces, aggregates, negligible, self.rounding)
+        if self.problem.volumes is None:
+            found = correction(matrix, diagonal, status, forces, aggregates, negligible, self.rounding)
+        else:
+            missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
+            found = mixed_correction(self.problem, missed, diagonal, status, forces, aggregates, negligible,
+                                     self.rounding)
         gap = here.gap - _along(change[contact.nodes] - found.moved, contact.normals)
         pressure = -_along(exerted - found.forces, contact.normals)
         deepest = -_WRONG * np.linalg.norm(found.moved, axis=1).max(initial=0.0)
@@ -329,7 +348,7 @@ class Evidence:
         """The energy error where the contact status may change: of the change in the span of the aggregates, and what
         is missing after it with the status held; ``held``: what is missing without it."""
         problem, contact, matrix = self.problem, self.problem.contact, self.problem.matrix
-        residual = problem.load - matrix @ self.unknowns.reshape(-1)
+        residual = problem.under(self.pressures).load - matrix @ self.unknowns.reshape(-1)
         found = changed_status(problem, residual, here, self.stiffness, self.limit * np.abs(self.sigma))
         if found is None:
             return held

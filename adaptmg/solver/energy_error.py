@@ -180,7 +180,7 @@ def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, lo
                 _plus(image, dim * np.uint64(indices[p]), transposed_times(data, size * np.uint64(p), value))
 
 
-class _Preconditioner:
+class Preconditioner:
     """Forward Gauss-Seidel, coarse correction, backward Gauss-Seidel on the matrix of a status. ``diagonal``, the
     diagonal blocks of the matrix, is overwritten."""
 
@@ -236,12 +236,12 @@ def correction(matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenSta
     if aggregates is None:
         return _factorised(matrix, status, residual, rounding)
     given = residual.copy() if matrix.shape[0] <= _FACTORISED[residual.shape[1]] else None
-    precondition = _Preconditioner(matrix, diagonal, status, aggregates)
+    precondition = Preconditioner(matrix, diagonal, status, aggregates)
     found, settled = _estimated(matrix, status, residual, precondition, negligible)
     return found if settled or given is None else _factorised(matrix, status, given, rounding)
 
 
-def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: _Preconditioner,
+def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, precondition: Preconditioner,
                negligible: float) -> tuple[HeldCorrection, bool]:
     """A Galerkin solution, and whether further steps would change it little; overwrites the residual."""
     symmetric, energy, ritz = status.symmetric, 0.0, np.inf

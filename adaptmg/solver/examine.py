@@ -48,7 +48,7 @@ class Examiner:
         self.held = held_tangents(discrete, self.frames)
         self.blocks = contact_blocks(discrete, self.contact, self.frames)
         self.sizes = Sizes(discrete)
-        self._last: tuple[np.ndarray, Examined] | None = None
+        self._last: tuple[np.ndarray, np.ndarray | None, Examined] | None = None
 
     def at_step(self, discrete: DiscreteProblem) -> Examiner:
         """The examiner of the same bodies under other data (a load step)."""
@@ -60,12 +60,12 @@ class Examiner:
         result.sizes = Sizes(discrete)
         return result
 
-    def relative_residual(self, solved: np.ndarray) -> float:
+    def relative_residual(self, solved: np.ndarray, pressures: np.ndarray | None = None) -> float:
         """Natural residual of a displacement (n_dofs,), relative coordinates, over the forces that act. The largest of
         load, contact forces and, where displacements are prescribed, reactions, in Euclidean norms; 1 if it is all
         there is."""
         solved = np.asarray(solved, dtype=np.float64).reshape(-1)
-        return self._residual(solved, self.discrete.load - self.discrete.matrix @ solved)
+        return self._residual(solved, self.discrete.under(pressures).load - self.discrete.matrix @ solved, pressures)
 
     def _at_contact(self, vector: np.ndarray) -> np.ndarray:
         """Local components (n_contact, dim) of a vector (n_dofs,), zero along what is held."""
@@ -76,7 +76,7 @@ class Examiner:
     def _values(self, solved: np.ndarray) -> np.ndarray:
         return self._at_contact(self.discrete.from_prescribed(solved))
 
-    def _residual(self, solved: np.ndarray, residual: np.ndarray) -> float:
+    def _residual(self, solved: np.ndarray, residual: np.ndarray, pressures: np.ndarray | None) -> float:
         discrete = self.discrete
         free = np.where(discrete.fixed, 0.0, residual)
         at_contact = self._at_contact(free)
@@ -84,35 +84,42 @@ class Examiner:
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
         scale, size = self.sizes.forces(unknowns, euclidean_norm(at_contact.reshape(-1))), euclidean_norm(free)
+        if discrete.volumes is not None:
+            size = float(np.hypot(size, euclidean_norm(discrete.volumes.scale * discrete.volumes.missed(
+                solved, pressures))))
         if self.sizes.prescribed:
             floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
             if size <= floor and self.sizes.nothing_strains(scale, floor, unknowns):
                 return 0.0
         return 0.0 if size == 0.0 else size / (scale or size)
 
-    def __call__(self, solved: np.ndarray, rtol: float = 0.0) -> Examined:
+    def __call__(self, solved: np.ndarray, rtol: float = 0.0, pressures: np.ndarray | None = None) -> Examined:
         """Examine a displacement (n_nodes, dim) or (n_dofs,), between bodies in relative coordinates, m, which is kept
-        and must not change any more; ``rtol``: the tolerance that is asked for."""
+        and must not change any more; ``rtol``: the tolerance that is asked for; ``pressures`` of volumes, Pa."""
         solved = np.asarray(solved, dtype=np.float64).reshape(-1)
-        if self._last is not None and np.array_equal(self._last[0], solved):
-            return self._last[1]
+        if self._last is not None and np.array_equal(self._last[0], solved) and (
+                pressures is None or np.array_equal(self._last[1], pressures)):
+            return self._last[2]
         discrete, self._last = self.discrete, None
         residual, diagonal = product_and_diagonal(discrete.matrix, solved)
         energy = energy_norm(solved, residual)
-        np.subtract(discrete.load, residual, out=residual)
+        if discrete.volumes is not None:
+            energy = float(np.hypot(energy, np.sqrt(discrete.volumes.energy(pressures))))
+        np.subtract(discrete.under(pressures).load, residual, out=residual)
         nodal = solved.reshape(discrete.n_nodes, discrete.dim)
         displacement = discrete.physical(nodal)
         contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
                                  -self._at_contact(residual))
-        natural = self._residual(solved, residual)
-        checked = certify(discrete, displacement, contact, known=(residual, energy, diagonal), rtol=rtol)
+        natural = self._residual(solved, residual, pressures)
+        checked = certify(discrete, displacement, contact, known=(residual, energy, diagonal), rtol=rtol,
+                          pressures=pressures)
         # in place: long vectors are what limits the size of a problem
         np.negative(residual, out=residual)
         if discrete.inclined is not None:
             residual += discrete.inclined.reaction(solved)
         reaction = discrete.physical_forces(residual).reshape(nodal.shape)
         found = Examined(displacement, reaction, contact, natural, checked)
-        self._last = solved, found
+        self._last = solved, pressures, found
         return found
 
 

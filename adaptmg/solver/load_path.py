@@ -41,6 +41,7 @@ from adaptmg.solver.outcome import (
     displacement_argument,
     grids_argument,
     method_argument,
+    pressures_argument,
     result_of,
 )
 from adaptmg.solver.record import Outcome, Run, Solver, Status
@@ -268,8 +269,9 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     checks.optional_callable("callback", callback, "the number and Result of a step")
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "the number of a step and a row of its history (or a bool)")
+    pressures = pressures_argument(start, grids.finest.discrete)
     start = displacement_argument("start", start, grids.finest.discrete)
-    loop = PathLoop(grids, path, solver, start)
+    loop = PathLoop(grids, path, solver, start, pressures)
     mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, start,
                                                 depends)
     if store is not None and (obstacles := loop.controls.posed()):
@@ -333,7 +335,8 @@ _LOG = logging.getLogger(__name__)
 class PathLoop:
     """The steps of a path."""
 
-    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None) -> None:
+    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None,
+                 pressures: np.ndarray | None = None) -> None:
         self.grids, self.path, self.solver = grids, path, solver
         self.factors = path.resolved(_problem_with_names(grids))
         self.loads = _loads(grids)
@@ -346,10 +349,13 @@ class PathLoop:
         if start is None:  # the discretisation counts slips from where it has the obstacles
             self.controls.places = self.controls.first_places()
         begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
+        pressures = _no_pressures(grids.finest.discrete) if pressures is None else pressures
         self.past = past_of(grids, begin, start is not None)
+        if start is not None and pressures is not None:
+            self.past = replace(self.past, pressures=(pressures, pressures))
         #: displacements of the last two steps on the finest level, and the forces that led there, None if unknown
         self.recent: list[tuple[np.ndarray, np.ndarray | None]] = [
-            (begin, np.zeros_like(begin) if start is None else None)]
+            (_together(begin, pressures), np.zeros_like(begin) if start is None else None)]
         #: displacements of the last step on the coarse levels, where the method has them
         self.coarse: list[np.ndarray] | None = None
 
@@ -380,13 +386,13 @@ class PathLoop:
                ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
         """The result of step k with the motions of obstacles, from one ``near`` to it; and what the next step needs."""
         finest = self.grids.finest.discrete
-        run = Run(unit=finest.matrix.nnz, callback=None if progress is None else partial(progress, k))
+        run = Run(unit=finest.matrix.nnz, callback=None if progress is None else partial(progress, k),
+                  pressures=None if self.past.pressures is None else self.past.pressures[0])
         with run.phase("setup"):
             grids = self._posed(k, motions)
             forces = grids.finest.discrete.load_from_prescribed()
             run.examiner = self.examiner = self.examiner.at_step(grids.finest.discrete)
-            start = self._extrapolated(forces) if near is None else finest.relative(near.displacement).reshape(-1)
-            past = replace(self.past, extrapolated=start)
+            past = self._with_extrapolated(forces, near)
         with run.phase("statics"):
             try:
                 check_statics_of(grids, coarse_first=k > 0)
@@ -435,7 +441,8 @@ class PathLoop:
         """The result of a step in which nothing acts: no method could tell the relative error of its iterates."""
         rtol = getattr(self.solver, "rtol", None)
         outcome = Outcome(np.zeros(grids.finest.discrete.n_dofs), Status.CONVERGED, 0,
-                          float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0)
+                          float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0,
+                          pressures=_no_pressures(grids.finest.discrete))
         result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions))
         # all forces vanish: a relative residual would be rounding over nothing
         return replace(result, status=Status.CONVERGED, residual=0.0, mesh=result.mesh_or_none)
@@ -460,13 +467,23 @@ class PathLoop:
     def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
         discrete, self.coarse = grids.finest.discrete, coarse
         # from the result, as a path that goes on from its store has it
-        displacement = discrete.relative(result.displacement).reshape(-1)
-        self.recent = [*self.recent[-1:], (displacement, forces)]
-        self.past = past_of(grids, displacement, True) if coarse is None else Past(
+        displacement, pressures = discrete.relative(result.displacement).reshape(-1), result.pressures
+        self.recent = [*self.recent[-1:], (_together(displacement, pressures), forces)]
+        past = past_of(grids, displacement, True) if coarse is None else Past(
             [*coarse, displacement], displacement, True)
+        self.past = past if pressures is None else replace(past, pressures=(pressures, pressures))
+
+    def _with_extrapolated(self, forces: np.ndarray, near: Result | None) -> Past:
+        """What is known before a step with these forces, and perhaps a result ``near`` to it."""
+        n = self.grids.finest.discrete.n_dofs
+        solution = self._extrapolated(forces) if near is None else _together(
+            self.grids.finest.discrete.relative(near.displacement).reshape(-1), near.pressures)
+        pressures = None if self.past.pressures is None else (self.past.pressures[0], solution[n:])
+        return replace(self.past, extrapolated=solution[:n], pressures=pressures)
 
     def _extrapolated(self, forces: np.ndarray) -> np.ndarray:
-        """The displacement for new forces if all goes on as between the last two steps, least squares in the forces."""
+        """The displacement, and the pressures of volumes behind it, for new forces if all goes on as between the last
+        two steps, least squares in the forces."""
         (before, forces_before), (last, last_forces) = self.recent[0], self.recent[-1]
         if len(self.recent) < 2 or forces_before is None:
             return last
@@ -477,6 +494,14 @@ class PathLoop:
             return last
         ratio = float(np.einsum("i,i->", forces - last_forces, change)) / size
         return last + ratio * (last - before)
+
+
+def _no_pressures(discrete: DiscreteProblem) -> np.ndarray | None:
+    return None if discrete.volumes is None else np.zeros(len(discrete.volumes))
+
+
+def _together(displacement: np.ndarray, pressures: np.ndarray | None) -> np.ndarray:
+    return displacement if pressures is None else np.append(displacement, pressures)
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:

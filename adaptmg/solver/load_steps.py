@@ -22,6 +22,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import NestedStart
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_step import TruncatedStep
+from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.smoother.system import local_contact
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
@@ -37,6 +38,13 @@ class Past:
     levels: list[np.ndarray]  # list of (n_dofs,)s
     extrapolated: np.ndarray  # (n_dofs,)
     given: bool  # whether there is a step before, or a start
+    #: of the volumes of the finest level, last and extrapolated; None where there are none or they are unknown
+    pressures: tuple[np.ndarray, np.ndarray] | None = None
+
+    def starts(self) -> list[tuple[np.ndarray, np.ndarray | None]]:
+        """Displacement and pressures of the step before, and the extrapolated ones."""
+        last, extrapolated = (None, None) if self.pressures is None else self.pressures
+        return [(self.levels[-1], last), (self.extrapolated, extrapolated)]
 
 
 class StepSolver(Protocol):
@@ -53,7 +61,8 @@ class StepSolver(Protocol):
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
     """The displacement of the step before or the extrapolated one, whichever has the smaller natural residual."""
     with run.phase("start"):
-        return min(past.levels[-1], past.extrapolated, key=examiner.relative_residual)
+        displacement, run.pressures = min(past.starts(), key=lambda one: examiner.relative_residual(*one))
+    return displacement
 
 
 def past_of(hierarchy: Hierarchy, displacement: np.ndarray, given: bool) -> Past:
@@ -87,6 +96,7 @@ class KeptMultigrid(TruncatedRun):
         """Go on to the next step: ``hierarchy`` differs in loads, prescribed values and slip references only."""
         self.hierarchy, self.run, self.cycle.recorder = hierarchy, run, run
         self.problems = [level.discrete_or_none for level in hierarchy.levels]
+        self.pressures = run.pressures
         with run.phase("setup"):
             finest = self._steps.get(len(hierarchy) - 1)
             if finest is not None:
@@ -101,10 +111,14 @@ class KeptMultigrid(TruncatedRun):
                 change = (result[-1] - past[number - 1]).reshape(-1, problem.dim)
                 unknowns = past[number] + (self.cycle.levels[number].prolongation @ change).reshape(-1)
                 unknowns = problem.from_prescribed(unknowns)
+                self.pressures = prolonged_pressures(self.problems[number - 1], problem,
+                                                     self.cycle.levels[number].prolongation, self.pressures)
                 self.run.visit(number, "start")
                 if number < len(self.problems) - 1:
                     unknowns = self._start_cycles(number, unknowns, start)
             result.append(problem.with_prescribed(unknowns))
+        if self.run.pressures is not None:
+            self.pressures = self.run.pressures
         self.run.start_work_units = self.run.work_units
         return result
 
@@ -123,6 +137,9 @@ class KeptMultigrid(TruncatedRun):
             contact, load = step.contact, problem.load_from_prescribed()
             contact.renew(data)
             contact.start(unknowns)
+            if step.pressures is not None:
+                # coarse levels go on from their own
+                step.pressures.pose(problem, self.pressures if number == len(self.problems) - 1 else None)
             step.load, step.unknowns = load, unknowns
             step.motions = RigidMotions.of(problem, contact, load)
         return step
@@ -149,11 +166,13 @@ class TruncatedSteps:
             kind = "given" if past.given else "nested"
             with run.phase("start"):
                 # not where the nested start sets the tolerance
-                if (past.given and self.rtol != "discretisation" and examiner.relative_residual(past.extrapolated)
-                        <= self.EXTRAPOLATE * examiner.relative_residual(start)):
-                    start = past.extrapolated
+                _, (extrapolated, pressures) = past.starts()
+                if (past.given and self.rtol != "discretisation" and examiner.relative_residual(extrapolated, pressures)
+                        <= self.EXTRAPOLATE * examiner.relative_residual(start, multigrid.pressures)):
+                    start, multigrid.pressures = extrapolated, pressures
         else:
             start = better_start(examiner, past, run) if past.given else np.zeros(examiner.discrete.n_dofs)
+            multigrid.pressures = run.pressures
         outcome = multigrid.finish(examiner.discrete.from_prescribed(start), kind)
         self.hold(outcome.rtol)
         return outcome, coarse

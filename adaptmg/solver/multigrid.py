@@ -206,7 +206,7 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
             outcome = _continued(outcome, solver, "ActiveSet", first, hierarchy, run)
             if outcome.status.ok or outcome.status is Status.ROUNDING:
                 return outcome
-    if outcome.left and hierarchy.discretised:
+    if outcome.left and hierarchy.discretised and problem.volumes is None:
         solver = Multigrid(correction=Monotone(), rtol=outcome.rtol, max_cycles=outcome.left)
         return _continued(outcome, solver, "Monotone", start, hierarchy, run)
     return outcome
@@ -218,7 +218,7 @@ def _continued(before: Outcome, solver: ActiveSet | Multigrid, method: str, star
         return before
     _LOG.info("cycle %d: the truncated multigrid does not converge; going on with %s", before.cycles, method)
     run.first_cycle, run.fallback = before.cycles, f"{method} from cycle {before.cycles}"
-    start_work_units = run.start_work_units
+    start_work_units, run.pressures = run.start_work_units, None if start is None else before.pressures
     try:
         outcome = solver.run(hierarchy, run, start)
     except (np.linalg.LinAlgError, ValueError, MemoryError) as error:

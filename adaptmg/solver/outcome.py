@@ -95,6 +95,13 @@ def displacement_argument(name: str, value: ArrayLike | Result | None, discrete:
     return np.array(discrete.relative(array))
 
 
+def pressures_argument(start: ArrayLike | Result | None, discrete: DiscreteProblem) -> np.ndarray | None:
+    """The pressures of the volumes of a problem at a start, if it has them."""
+    if discrete.volumes is None or not isinstance(start, Result) or start.pressures is None:
+        return None
+    return check_arrays.vector("start.pressures", start.pressures, len(discrete.volumes))
+
+
 def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:
     """A hierarchy; a bare DiscreteProblem becomes one of one level."""
     if isinstance(value, DiscreteProblem):
@@ -122,6 +129,9 @@ def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) 
         value = getattr(outcome, what)
         if not isinstance(value, (float, int, np.floating)) or isinstance(value, bool) or value < 0:
             raise TypeError(f"{name} whose {what} is a number >= 0 or NaN, got {checks.shown(value)}")
+    if discrete.volumes is not None and np.shape(outcome.pressures) != (len(discrete.volumes),):
+        raise TypeError(f"{name} with the pressures of {len(discrete.volumes)} volumes, got "
+                        f"{checks.shown(outcome.pressures)}")
     finite = bool(np.isfinite(displacement).all())
     return replace(outcome, cycles=cycles, rtol=rtol, status=outcome.status if finite else Status.DIVERGED)
 
@@ -131,7 +141,11 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
     """The Result on the finest level; the certificate and the natural residual confirm the status."""
     with run.phase("certificate"):
         # a solver of the user may go on with its array
-        found = examiner(np.array(outcome.displacement), outcome.rtol)
+        found = examiner(np.array(outcome.displacement), outcome.rtol, outcome.pressures)
+    volumes = grids.finest.discrete.volumes
+    if volumes is not None and stress_data is not None:
+        stress_data = replace(stress_data, pressure=volumes.of_elements(outcome.pressures),
+                              volume_energy=0.5 * volumes.energy(outcome.pressures))
     mesh, problem, supports, springs = cast("Any", grids.finest.mesh_or_none), grids.problem, {}, {}
     if problem is not None and grids.finest.mesh_or_none is not None:
         supports = {name: rows.tolist() for name, rows in held_directions(mesh, problem.supports).items()}
@@ -148,7 +162,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
                   problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
                   choice=choice, mesh=mesh, start_work_units=run.start_work_units,
-                  versions=versions(), stress_data=stress_data, supports=supports, springs=springs)
+                  versions=versions(), stress_data=stress_data, supports=supports, springs=springs,
+                  pressures=outcome.pressures)
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:

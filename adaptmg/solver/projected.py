@@ -47,6 +47,7 @@ class ProjectedRun:
     def __post_init__(self) -> None:
         need_levels(self.hierarchy)
         self.hierarchy.need_discretised(f"the correction {type(self.correction).__name__}")
+        self.hierarchy.finest.discrete.need_no_volumes(f"the correction {type(self.correction).__name__}")
         with self.run.phase("setup"):
             self.problems: list[LocalProblem] = [local_system(level.discrete) for level in self.hierarchy.levels]
 

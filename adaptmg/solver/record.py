@@ -72,7 +72,8 @@ class Run:
     untimed_seconds: float = 0.0  # spent on comparison with the reference
     first_cycle: int = 0  # cycles done by another method before the one that records now
     fallback: str = ""  # the method that took over, and from which cycle; empty if none did
-    examiner: Callable[[np.ndarray, float], Examined] | None = None
+    examiner: Callable[[np.ndarray, float, np.ndarray | None], Examined] | None = None
+    pressures: np.ndarray | None = None  # (n_groups,): of the start, where the problem has volumes, Pa
     progress: bool = False  # say what is done if it takes more than 2 s
     _nested_seconds: float = 0.0
     _compiled: float = field(default_factory=compiling_seconds)
@@ -126,13 +127,13 @@ class Run:
             self.timings[name] = self.timings.get(name, 0.0) + seconds - self._nested_seconds
             self._nested_seconds = outside + seconds
 
-    def shortfall(self, solved: np.ndarray, rtol: float) -> float:
+    def shortfall(self, solved: np.ndarray, rtol: float, pressures: np.ndarray | None = None) -> float:
         """By how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not. Between
-        bodies in relative coordinates. Rounding is not a shortfall."""
+        bodies in relative coordinates; with the pressures of volumes. Rounding is not a shortfall."""
         if self.examiner is None or not rtol > 0:
             return 0.0
         with self.phase("certificate"):
-            checked = self.examiner(solved, rtol).checked
+            checked = self.examiner(solved, rtol, pressures).checked
         if checked.energy_error > max(rtol, checked.energy_rounding):
             return min(checked.energy_error, 1.0) / rtol
         return 1.0 if checked.contradictions(rtol) else 0.0
@@ -150,6 +151,7 @@ class Outcome:
     rate: float = float("nan")  # asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown
     left: int = 0  # cycles for a method that takes over where this one fails
     better: bool = False  # whether that begins at the displacement, not at zero
+    pressures: np.ndarray | None = None  # (n_groups,): where the problem has volumes, Pa
 
 
 class Solver(Protocol):

@@ -97,6 +97,9 @@ class Result:
     motions : dict of str to list of float
         By name the displacement, m, and the rotation, rad, of obstacles that a force presses (:class:`adaptmg.Rigid`),
         and the strain that shortens a body (:class:`adaptmg.Preload`).
+    pressures : (n_groups,) array or None
+        Of nearly incompressible bodies with smoothed elements: what the mean volume strains of groups of nodes add to
+        the stress, Pa, tension positive (:mod:`adaptmg.discrete.volumes`).
 
     Examples
     --------
@@ -135,6 +138,7 @@ class Result:
     choice: str = ""
     springs: dict[str, list[float]] = field(default_factory=dict)
     motions: dict[str, list[float]] = field(default_factory=dict)
+    pressures: np.ndarray | None = None
 
     #: of the columns of stresses and strains
     COMPONENTS: ClassVar[tuple[str, ...]] = ("xx", "yy", "zz", "xy", "yz", "xz")
@@ -187,7 +191,8 @@ class Result:
         """
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
-            return certify(problem, self.displacement, cast("ContactClaims", self.contact), bound)
+            return certify(problem, self.displacement, cast("ContactClaims", self.contact), bound,
+                           pressures=self.pressures)
         if bound or self.checked is None:
             raise ValueError("problem: this result keeps no matrix; give the DiscreteProblem that was solved "
                              "(grids.finest.discrete)")

@@ -57,6 +57,7 @@ class SingleGrid:
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+        hierarchy.finest.discrete.need_no_volumes("SingleGrid")
         with run.phase("setup"):
             local = local_system(hierarchy.finest.discrete)
         problem, sizes, restrict, recover = local, Sizes(local.discrete, local.frames), np.asarray, np.asarray

@@ -20,7 +20,14 @@ from adaptmg.solver.controls import by_force
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_path import solve_path
 from adaptmg.solver.multigrid import handed_over
-from adaptmg.solver.outcome import checked_outcome, displacement_argument, grids_argument, method_argument, result_of
+from adaptmg.solver.outcome import (
+    checked_outcome,
+    displacement_argument,
+    grids_argument,
+    method_argument,
+    pressures_argument,
+    result_of,
+)
 from adaptmg.solver.record import Run, Solver
 from adaptmg.solver.result import NotConverged, Result
 from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
@@ -100,7 +107,8 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     exact = displacement_argument("reference", reference, discrete)
     first = displacement_argument("start", start, discrete)
     run = Run(unit=discrete.matrix.nnz, callback=_watched(callback, progress), reference=exact,
-              timings={} if grids is given else dict(grids.timings), progress=progress)
+              timings={} if grids is given else dict(grids.timings), progress=progress,
+              pressures=pressures_argument(start, discrete))
     _LOG.debug("nodes of the levels: %s (%s)", ", ".join(str(level.n_nodes) for level in grids.levels), grids.origin)
     with run.phase("statics"):
         check_statics_of(grids)

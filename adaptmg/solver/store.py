@@ -308,6 +308,8 @@ def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Ma
     return {
         "problem": grids.problem.name if grids.problem is not None else "",
         "grids": [[level.n_nodes, *_sums(level.matrix.data)] for level in grids.levels] + coordinates,
+        "volumes": [] if finest.volumes is None else [_sums(finest.volumes.rows.data),
+                                                      _sums(finest.volumes.compliance)],
         "transfers": [_sums(level.prolongation.data) for level in grids.levels[1:]],
         "loads": [{name: _sums(load) for name, load in part.loads.items()} for part in loads if part is not None],
         "supports": {name: [*_sums(dofs), *_sums(values)] for name, (dofs, values) in loads[-1].prescribed.items()},

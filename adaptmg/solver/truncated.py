@@ -36,6 +36,7 @@ from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import TruncatedStep
+from adaptmg.multigrid.volume_pressures import VolumePressures, prolonged_pressures
 from adaptmg.smoother.factorisation import FACTORISED
 from adaptmg.solver.active_set import coarsest_solution
 from adaptmg.solver.examine import ROUNDING, Sizes
@@ -171,7 +172,8 @@ class TruncatedIteration(StopTest):
             return 0.0
         # mostly this iterate is the last
         self.multigrid.set_aside(self.problem.matrix, self.problem.fixed)
-        return self.run.shortfall(self.problem.with_prescribed(self.multigrid.unknowns), self.rtol)
+        pressures = None if self.multigrid.pressures is None else self.multigrid.pressures.values
+        return self.run.shortfall(self.problem.with_prescribed(self.multigrid.unknowns), self.rtol, pressures)
 
     def _estimate(self) -> float:
         rate = self.safe_rate
@@ -292,6 +294,8 @@ class TruncatedRun:
                                      parts.coarse_smoother)
         self.problems: list[DiscreteProblem | None] = [level.discrete_or_none for level in hierarchy.levels]
         self._coarse: CoarseContact | None = None
+        #: of the volumes of the level that comes next, at its start
+        self.pressures = run.pressures
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
         """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero."""
@@ -317,6 +321,7 @@ class TruncatedRun:
                     change = self._extrapolation(number) * (solution - before)
                     finer.prolong(change, displacement)
                 unknowns, before = fine.from_prescribed(displacement), prolonged
+                self.pressures = prolonged_pressures(coarse, fine, finer.prolongation, self.pressures)
             self.run.visit(number + 1, "start")
         self.run.start_work_units = self.run.work_units
         return unknowns
@@ -345,7 +350,8 @@ class TruncatedRun:
         displacement = problem.with_prescribed(step.unknowns).reshape(-1, problem.dim)
         failed = status in (Status.STALLED, Status.DIVERGED) and cycles.rtol > 0 and not cycles.rests()
         return Outcome(displacement, status, cycles.cycles, cycles.rtol, cycles.error_estimate, cycles.rate,
-                       left=self.max_cycles - cycles.cycles if failed else 0, better=cycles.better)
+                       left=self.max_cycles - cycles.cycles if failed else 0, better=cycles.better,
+                       pressures=None if step.pressures is None else step.pressures.values)
 
     def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         """Steps on level ``number`` from ``unknowns`` (n_dofs,), which become admissible."""
@@ -359,8 +365,9 @@ class TruncatedRun:
                 interface = Interface(levels[number], problem.coupling)
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()
+            pressures = None if problem.volumes is None else VolumePressures(problem, self.pressures)
             step = TruncatedStep(self.cycle, number, contact, load, unknowns, parts.recombine,
-                                 RigidMotions.of(problem, contact, load), interface, parts.interface_sweeps)
+                                 RigidMotions.of(problem, contact, load), interface, parts.interface_sweeps, pressures)
             if number == len(levels) - 1 and self.cycle.coarse_smoother is None:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:-1]:
@@ -380,7 +387,7 @@ class TruncatedRun:
         problem = self.problems[0]
         with self.run.phase("start"):
             try:
-                solution, steps, passes = coarsest_solution(problem, start.rtol)
+                solution, self.pressures, steps, passes = coarsest_solution(problem, start.rtol)
             except (np.linalg.LinAlgError, ValueError) as error:
                 _LOG.info("coarsest level: the active set method gives up: %s", error)
                 return np.zeros(problem.n_dofs)
@@ -404,4 +411,5 @@ class TruncatedRun:
                     if cycle + 1 >= enough and state.residual <= trusted:
                         break
             step.truncation.restore()
+        self.pressures = None if step.pressures is None else step.pressures.values
         return step.unknowns
