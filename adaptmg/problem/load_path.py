@@ -25,7 +25,6 @@ DEFAULT = "default"  # name of all loads together, where no ContactProblem names
 Field = float | Callable[[np.ndarray], np.ndarray]
 
 _ROUNDING = 1e-14
-_OF_BODIES = BodyForce | InitialStrain | Preload
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +34,9 @@ class LoadPath:
     Parameters
     ----------
     factors : mapping of str to float or sequence of float
-        Factor of each step, by name: a boundary (all loads and prescribed displacements there), "point (0, 1)" of a
-        PointSupport, a body (its InitialStrain and BodyForce) or "body force" (body forces of all bodies). A single
-        number holds in all steps.
+        Factor of each step, by the name of loads and supports, or where one alone acts by that of its place: a
+        boundary, "point (0, 1)" of a PointSupport, a body (InitialStrain, BodyForce), "body force" (of all bodies). A
+        single number holds in all steps.
         Factors below 1e-14 of the largest of their sequence, what rounding leaves of zero, become zero.
     default : float or sequence of float
         Factor of what is not named.
@@ -47,6 +46,8 @@ class LoadPath:
     >>> path = am.LoadPath({"top": [1, 1, 1], "left": [0, 0.5, 1]})
     >>> path.factors["left"].tolist()
     [0.0, 0.5, 1.0]
+    >>> loads = (am.Pressure("top", 1e6, name="press"), am.Traction("top", (2e5, 0.0), name="shear"))
+    >>> fretting = am.LoadPath({"press": 1.0, "shear": [1, -1, 1]})
     """
 
     factors: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -90,36 +91,56 @@ class LoadPath:
             raise ValueError(f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem have "
                              "no names: give default=... alone, or a hierarchy made from a ContactProblem")
         names = (DEFAULT,) if problem is None else names_in_path(problem)
+        shared = {} if problem is None else _shared_places(problem)
+        for name in self.factors:
+            if name in shared:
+                kinds = " and a ".join(type(one).__name__ for one in shared[name])
+                clear = ", ".join(repr(one) for one in names if one not in shared) or "none"
+                raise ValueError(f"path names {name!r}, where a {kinds} act: give each a name=, and the path their "
+                                 f"names; known are {clear}")
         _check_names("path names", self.factors, names)
         return {name: self.of(name) for name in names}
 
 
 def name_in_path(item: Load | AnySupport) -> str:
-    """The name under which a path scales a load or support."""
-    if isinstance(item, Preload):
-        return item.path_name
-    if isinstance(item, InitialStrain):
+    """The name under which a path scales a load or support: its own, or that of its place."""
+    return getattr(item, "name", None) or _place(item)
+
+
+def _place(item: Load | AnySupport) -> str:
+    if isinstance(item, InitialStrain | Preload):
         return item.body
     if isinstance(item, BodyForce):
         return BODY_FORCE if item.body is None else item.body
     return item.boundary or item.place
 
 
+def _acting(problem: ContactProblem) -> list[Load | AnySupport]:
+    """All loads, and the supports that prescribe a displacement other than zero."""
+    return [*problem.loads, *(one for one in problem.supports if any(one.components(problem.dim))
+                              or (isinstance(one, Support) and one.normal))]
+
+
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
     """Names of all loads and of the supports that prescribe a displacement other than zero, each once."""
-    moved = [s for s in problem.supports
-             if any(s.components(problem.dim)) or (isinstance(s, Support) and s.normal)]
-    bodies = {name_in_path(load) for load in problem.loads if isinstance(load, _OF_BODIES)}
-    rest = [name_in_path(item) for item in (*problem.loads, *moved) if not isinstance(item, _OF_BODIES)]
-    for name in rest:
-        if name in bodies:
-            raise ValueError(f"{name!r} is the name of a body and of a boundary that both carry loads: a path could "
-                             "not tell them apart; rename one")
-    named = [*map(name_in_path, problem.loads), *rest]
+    named = list(map(name_in_path, _acting(problem)))
     for name in obstacles_in_path(problem):
         if name in named:
             raise ValueError(f"{name!r} is the name of an obstacle and of a load or support: give one name=")
     return tuple(dict.fromkeys([*named, *obstacles_in_path(problem)]))
+
+
+def _shared_places(problem: ContactProblem) -> dict[str, list[Load | AnySupport]]:
+    """By the name of a place what acts there: several, of which one at least has no name of its own."""
+    at: dict[str, list[Load | AnySupport]] = {}
+    for item in _acting(problem):
+        at.setdefault(_place(item), []).append(item)
+    for item in _acting(problem):
+        name = getattr(item, "name", None)
+        if name in at and not any(item is one for one in at[name]):
+            at[name].append(item)
+    return {place: items for place, items in at.items()
+            if len(items) > 1 and not all(getattr(one, "name", None) for one in items)}
 
 
 def obstacles_in_path(problem: ContactProblem) -> list[str]:

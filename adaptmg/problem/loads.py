@@ -6,7 +6,7 @@ Values are numbers, or vectorised functions of position (n, dim) -> (n,).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -24,6 +24,11 @@ def _components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]
     return tuple(checks.function_or(name, value) for value in entries)
 
 
+def _check_name(name: str | None) -> None:
+    if name is not None:
+        checks.boundary_name("name", name)
+
+
 @dataclass(frozen=True)
 class Pressure:
     """Pressure on a boundary: traction ``-value * n``, n outward.
@@ -34,6 +39,8 @@ class Pressure:
         Name of the boundary.
     value : float or callable
         Pa; positive pushes into the body.
+    name : str, optional
+        In load paths; default the boundary's.
 
     Examples
     --------
@@ -44,10 +51,13 @@ class Pressure:
 
     boundary: str
     value: FieldLike
+    _: KW_ONLY
+    name: str | None = None
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         checks.convert(self, checks.function_or, "value")
+        _check_name(self.name)
 
 
 @dataclass(frozen=True)
@@ -60,6 +70,8 @@ class Traction:
         Name of the boundary.
     components : sequence of float or callable
         Cartesian components, Pa.
+    name : str, optional
+        In load paths; default the boundary's.
 
     Examples
     --------
@@ -69,10 +81,13 @@ class Traction:
 
     boundary: str
     components: tuple[FieldLike, ...]
+    _: KW_ONLY
+    name: str | None = None
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         checks.convert(self, _components, "components")
+        _check_name(self.name)
 
 
 @dataclass(frozen=True)
@@ -85,6 +100,8 @@ class BodyForce:
         Cartesian components, N/m^3.
     body : str, optional
         Name of the body it acts on; all by default.
+    name : str, optional
+        In load paths; default the body's, or "body force".
 
     Examples
     --------
@@ -94,11 +111,14 @@ class BodyForce:
 
     components: tuple[FieldLike, ...]
     body: str | None = None
+    _: KW_ONLY
+    name: str | None = None
 
     def __post_init__(self) -> None:
         checks.convert(self, _components, "components")
         if self.body is not None:
             checks.boundary_name("body", self.body)
+        _check_name(self.name)
 
 
 @dataclass(frozen=True)
@@ -115,6 +135,8 @@ class InitialStrain:
     components : sequence of float or callable
         Normal strains; shear strains are zero. In 2D (xx, yy) or (xx, yy, zz), axisymmetric (rr, zz) or (rr, zz,
         hoop), the third being 0 where it is left out; in 3D (xx, yy, zz). Negative shortens.
+    name : str, optional
+        In load paths; default the body's.
 
     Examples
     --------
@@ -124,14 +146,17 @@ class InitialStrain:
 
     body: str
     components: tuple[FieldLike, ...]
+    _: KW_ONLY
+    name: str | None = None
 
     def __post_init__(self) -> None:
         checks.boundary_name("body", self.body)
         checks.convert(self, _components, "components")
+        _check_name(self.name)
 
     @classmethod
-    def thermal(cls, expansion: FieldLike | Sequence[FieldLike], temperature: FieldLike, *, body: str = "body"
-                ) -> InitialStrain:
+    def thermal(cls, expansion: FieldLike | Sequence[FieldLike], temperature: FieldLike, *, body: str = "body",
+                name: str | None = None) -> InitialStrain:
         """Return the strains of a change of temperature.
 
         Parameters
@@ -142,6 +167,8 @@ class InitialStrain:
             Temperature over that at which the body is free of stress, K.
         body : str
             Its name; a body alone is called "body".
+        name : str, optional
+            As of the class.
 
         Examples
         --------
@@ -151,7 +178,8 @@ class InitialStrain:
         alike = callable(expansion) or not isinstance(expansion, Sequence | np.ndarray)
         each = _components("expansion", (expansion,) * 3 if alike else expansion)
         rise = checks.function_or("temperature", temperature)
-        return cls(body, tuple(_Product(one, rise) if callable(one) or callable(rise) else one * rise for one in each))
+        return cls(body, tuple(_Product(one, rise) if callable(one) or callable(rise) else one * rise for one in each),
+                   name=name)
 
 
 @dataclass(frozen=True)
@@ -206,8 +234,7 @@ class Preload:
         checks.choice("axis", self.axis, ("x", "y", "z"))
         if self.at is not None:
             checks.convert(self, checks.quantity, "at")
-        if self.name is not None:
-            checks.boundary_name("name", self.name)
+        _check_name(self.name)
 
     @property
     def path_name(self) -> str:
@@ -250,8 +277,10 @@ class _Prescribes(_Holds):
     x: FieldLike | None
     y: FieldLike | None
     z: FieldLike | None
+    name: str | None
 
     def _check(self) -> None:
+        _check_name(self.name)
         names = [name for name in ("x", "y", "z", "normal") if getattr(self, name, None) is not None]
         checks.convert(self, checks.function_or, *names)
         if not names:
@@ -297,6 +326,8 @@ class Support(_Prescribes):
         Prescribed displacement, m; a function of position is taken at the nodes.
     normal : float, callable or None
         Prescribed displacement along the outward normal of the boundary, which must be plane, in any direction, m.
+    name : str, optional
+        In load paths; default the boundary's.
 
     Examples
     --------
@@ -310,6 +341,8 @@ class Support(_Prescribes):
     y: FieldLike | None = None
     z: FieldLike | None = None
     normal: FieldLike | None = None
+    _: KW_ONLY
+    name: str | None = None
 
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
@@ -351,6 +384,8 @@ class PointSupport(_Prescribes, _AtPoint):
         Prescribed displacement, m.
     body : str, optional
         Name of the body, where nodes of several lie at the point.
+    name : str, optional
+        In load paths; default the place, such as "point (0, 1)".
 
     Examples
     --------
@@ -363,6 +398,8 @@ class PointSupport(_Prescribes, _AtPoint):
     y: FieldLike | None = None
     z: FieldLike | None = None
     body: str | None = None
+    _: KW_ONLY
+    name: str | None = None
 
     def __post_init__(self) -> None:
         self._check_point()

@@ -165,16 +165,51 @@ class TestData:
         for name in ("lid", "right", "bottom", "body"):
             with pytest.raises(ValueError, match=f"names '{name}'.*known are 'top', 'left'"):
                 am.solve_path(rough, am.LoadPath({name: [1, 2]}))
-        loads = am.Pressure("part", 1.0), am.InitialStrain("part", (1e-5, 0.0))
-        with pytest.raises(ValueError, match="'part' is the name of a body and of a boundary"):
-            am.LoadPath().resolved(replace(am.cases.greco_bar(), domain=None, loads=loads))
+        loads = am.Pressure("part", 1.0), am.InitialStrain("part", (1e-5, 0.0)), am.BodyForce((0.0, 1.0), name="weight")
+        part = replace(am.cases.greco_bar(), domain=None, loads=loads)
+        with pytest.raises(ValueError, match="'part', where a Pressure and a InitialStrain act.*known are 'weight'"):
+            am.LoadPath({"part": 1.0}).resolved(part)
+        assert set(am.LoadPath({"weight": [1, 2]}, default=[3, 4]).resolved(part)) == {"part", "weight"}
+        # a name of one load that is the place of another
+        for one in (am.Traction("top", (1.0, 0.0)), am.BodyForce((0.0, 1.0), name="top")):
+            with pytest.raises(ValueError, match="names 'top', where a Pressure and a .* act: give each a name=.*none"):
+                am.LoadPath({"top": [1, 2]}).resolved(replace(part, loads=(am.Pressure("top", 1.0), one)))
+
+    @pytest.mark.parametrize("dim", [2, 3])
+    def test_loads_on_one_face_have_factors_of_their_own(self, dim):
+        """Fretting: a constant pressure and a cyclic shear on the same face, and a support that moves it."""
+        pressure, shear, factors = 1e6, 2e5, [0.5, 1.0, -1.0, 0.0, 1.0]
+        box = am.Box(width=1, depth=1, height=0.5) if dim == 3 else am.Rectangle(width=1, height=0.5)
+        floor = [0.0] * (dim - 1) + [1.0]
+        problem = am.ContactProblem(
+            domain=box, material=(am.Solid if dim == 3 else am.PlaneStrain)(young=2e11, poisson=0.3),
+            law=am.Coulomb(0.3), contact=am.Contact("bottom", am.Plane([0.0] * dim, floor)),
+            loads=(am.Pressure("top", pressure, name="press"),
+                   am.Traction("top", (shear, *[0.0] * (dim - 1)), name="shear")))
+        grids = am.Hierarchy.uniform(problem, [(2,) * dim, (4,) * dim])
+        path = am.LoadPath({"press": 1.0, "shear": factors})
+        steps = am.solve_path(grids, path, FINE)
+        for k, factor in enumerate(factors):
+            force = steps[k].resultant("bottom").force
+            assert force[[0, -1]] == pytest.approx([-factor * shear, pressure], abs=1e-5 * pressure)
+        # the history matters: the same loads, reached otherwise
+        assert distance(steps[4], steps[1]) > 1e-6
+        # one name for several, and for what supports prescribe
+        sinks = replace(problem, loads=(), supports=(am.Support("top", **{"xyz"[dim - 1]: -1e-6}, name="sink"),
+                                                     am.Support("top", x=1e-7, name="slide")))
+        moved = am.solve_path(am.Hierarchy.uniform(sinks, [(2,) * dim, (4,) * dim]),
+                              am.LoadPath({"sink": 1.0, "slide": [0, 2]}), FINE)
+        top = moved[0].mesh.boundary_nodes("top")
+        for k, factor in enumerate((0, 2)):
+            np.testing.assert_allclose(moved[k].displacement[top][:, [0, -1]], [[factor * 1e-7, -1e-6]] * len(top))
 
     def test_supports_that_part(self):
-        problem = replace(pulled().problem, supports=(am.Support("top", x=1e-6, y=-1e-5), am.Support("left", x=1e-6)))
+        problem = replace(pulled().problem, supports=(
+            am.Support("top", x=1e-6, y=-1e-5, name="lid"), am.Support("left", x=1e-6, name="side")))
         grids = am.Hierarchy.uniform(problem, divisions=[(4, 2), (8, 4)])
-        am.solve_path(grids, am.LoadPath({"top": [1, 2], "left": [1, 2]}))
-        with pytest.raises(ValueError, match="'top' and 'left' prescribe different displacements"):
-            am.solve_path(grids, am.LoadPath({"top": [1, 2], "left": [1, 1]}))
+        am.solve_path(grids, am.LoadPath({"lid": [1, 2], "side": [1, 2]}))
+        with pytest.raises(ValueError, match="'lid' and 'side' prescribe different displacements"):
+            am.solve_path(grids, am.LoadPath({"lid": [1, 2], "side": [1, 1]}))
 
     def test_rigid_motion_in_a_step_is_named(self, rough):
         with pytest.raises(ValueError, match=r"step 1 of 2 \(top=-1, left=1\): .*translation along y"):
