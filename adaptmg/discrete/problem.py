@@ -195,8 +195,7 @@ class DiscreteProblem(Unknowns):
         contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
-        values = bounded("fixed_values", fixed_values, (self.n_dofs,))
-        values = bounded("fixed_values", np.where(self.fixed, values, 0.0), (self.n_dofs,))
+        values = bounded("fixed_values", np.where(self.fixed, fixed_values, 0.0), (self.n_dofs,))
         inclined = self.inclined
         if inclined is not None:
             prescribed = inclined.prescribed(factors or {})

@@ -48,7 +48,7 @@ class LinearLevel:
         """The residual that :meth:`presmooth` leaves."""
         return np.zeros(self.matrix.n_dofs)
 
-    @property
+    @cached_property
     def _transfer(self) -> tuple[tuple[float, ...], np.ndarray, np.ndarray, np.ndarray]:
         """The zeros of the components of the prolongation, and its arrays."""
         nodal = self.prolongation

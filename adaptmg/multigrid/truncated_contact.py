@@ -140,10 +140,10 @@ class TruncatedContact:
 
     def admits(self, unknowns: np.ndarray) -> bool:
         """Whether a recombined iterate closes open nodes or reverses slips at few nodes, which the projection cuts."""
-        local = np.einsum("nij,nj->ni", self.frames.reshape(-1, self.dim, self.dim),
-                          unknowns.reshape(-1, self.dim)[self.nodes])
+        frames = self.frames.reshape(-1, self.dim, self.dim)
+        local = (frames @ unknowns.reshape(-1, self.dim, 1)[self.nodes])[:, :, 0]
         reference = self.reference.reshape(-1, self.dim - 1)
-        turned = np.einsum("ni,ni->n", self.values.reshape(local.shape)[:, 1:] - reference, local[:, 1:] - reference)
+        turned = ((self.values.reshape(local.shape)[:, 1:] - reference) * (local[:, 1:] - reference)).sum(axis=1)
         cut = (self.codes & CLOSED == 0) & (local[:, 0] > self.gap)
         cut |= (self.codes & TANGENTIAL >= SLIPS) & (turned <= 0.0)
         return bool(cut.sum() <= 1 + self.FEW * len(self.nodes))

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 
 from adaptmg._threads import sum_of_parts
 from adaptmg.multigrid import projected_sweeps
@@ -211,7 +211,9 @@ class TruncatedStep:
             d = d if self.pressures is None else np.append(d, self.pressures.weights)
             changes = np.array(residuals) - load
             alpha = least_weights(load, changes, d)
-            combined = unknowns + alpha @ (np.array(iterates) - unknowns)
+            combined = (1.0 - alpha.sum()) * unknowns
+            for weight, iterate in zip(alpha, iterates, strict=True):
+                combined = linalg.blas.daxpy(iterate, combined, a=weight)  # in place: one pass over long vectors
             if self.contact.admits(combined[:len(self._unknowns)]):
                 return combined, load + alpha @ changes
         return unknowns, load
@@ -258,8 +260,8 @@ def _product(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.einsum("i,i->", a, b))
 
 
-#: residuals count as dependent below this singular value of their scaled products
-_SINGULAR = 1e-10
+#: added to the scaled products of residuals, which may depend on each other
+_SHIFT = 1e-12
 
 
 def least_weights(now: np.ndarray, changes: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -268,4 +270,7 @@ def least_weights(now: np.ndarray, changes: np.ndarray, d: np.ndarray) -> np.nda
     products = weighted @ changes.T
     scale = np.sqrt(products.diagonal())
     scale[scale == 0.0] = 1.0
-    return np.linalg.lstsq(products / np.outer(scale, scale), -(weighted @ now) / scale, rcond=_SINGULAR)[0] / scale
+    products /= scale[:, None] * scale
+    products.flat[::len(scale) + 1] += _SHIFT
+    # LAPACK itself: numpy's least squares take ten times as long as all products of a small problem
+    return linalg.lapack.dposv(products, -(weighted @ now) / scale)[1] / scale

@@ -265,9 +265,11 @@ class _Newton:
             contact, at_contact, forces, self.equations_of.stiffness, self.FACTOR)
 
 
-def coarsest_solution(problem: DiscreteProblem, rtol: float) -> tuple[np.ndarray, np.ndarray | None, int, float]:
+def coarsest_solution(problem: DiscreteProblem, rtol: float, start: np.ndarray | None = None
+                      ) -> tuple[np.ndarray, np.ndarray | None, int, float]:
     """Displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular, the pressures of its volumes,
-    and the numbers of its steps and of the passes over its matrix."""
+    and the numbers of its steps and of the passes over its matrix. ``start`` is a displacement near to it (not used
+    with volumes)."""
     if problem.volumes is not None:
         augmented = Augmented(problem, None)
         solution, _, steps, passes = coarsest_solution(augmented.problem, rtol)
@@ -275,7 +277,8 @@ def coarsest_solution(problem: DiscreteProblem, rtol: float) -> tuple[np.ndarray
     options, condensed = ActiveSet(rtol=rtol), condense_coarsest(problem)
     local = condensed.full
     run = Run(unit=local.system.nonzeros)
-    newton = _Newton(options, local, run, 0, None, Measure(local), condensed)
+    near = None if start is None else local.to_local(start)
+    newton = _Newton(options, local, run, 0, near, Measure(local), condensed)
     iterate(newton, _NewtonTest(rtol, options.max_steps, stalled=None))
     return local.to_cartesian(newton.unknowns), None, newton.cycles, run.work_units
 

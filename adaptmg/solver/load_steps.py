@@ -106,7 +106,7 @@ class KeptMultigrid(TruncatedRun):
         result: list[np.ndarray] = []
         for number, problem in enumerate(self.problems):
             if number == 0:
-                unknowns = self._solve_coarsest(start)
+                unknowns = self._solve_coarsest(start, past[0] if past[0].any() else None)
             else:
                 change = (result[-1] - past[number - 1]).reshape(-1, problem.dim)
                 unknowns = past[number] + (self.cycle.levels[number].prolongation @ change).reshape(-1)

@@ -381,13 +381,14 @@ class TruncatedRun:
             self._coarse = CoarseContact(step, [None if one is None else one.coordinates for one in self.problems])
         return self._coarse
 
-    def _solve_coarsest(self, start: NestedStart) -> np.ndarray:
-        """Solve the coarsest level by semismooth Newton steps; each counts a pass, its factorisation as seconds."""
+    def _solve_coarsest(self, start: NestedStart, near: np.ndarray | None = None) -> np.ndarray:
+        """Solve the coarsest level by semismooth Newton steps, of load steps from the step before (``near``); each
+        counts a pass, its factorisation as seconds."""
         self.hierarchy.need_discretised("the nested start of FullMultigrid")
         problem = self.problems[0]
         with self.run.phase("start"):
             try:
-                solution, self.pressures, steps, passes = coarsest_solution(problem, start.rtol)
+                solution, self.pressures, steps, passes = coarsest_solution(problem, start.rtol, near)
             except (np.linalg.LinAlgError, ValueError) as error:
                 _LOG.info("coarsest level: the active set method gives up: %s", error)
                 return np.zeros(problem.n_dofs)
