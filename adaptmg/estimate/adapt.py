@@ -21,10 +21,9 @@ from adaptmg._text import say
 from adaptmg.estimate.bisect import Bisect
 from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
 from adaptmg.estimate.loop import AdaptiveLoop, Parts, Progress
-from adaptmg.estimate.loop_store import LOOP_KINDS, loop_fingerprint
 from adaptmg.estimate.remesh import Remesh
 from adaptmg.estimate.residual import Residual
-from adaptmg.estimate.step import Engine, Limits, Step, sound_mesh
+from adaptmg.estimate.step import LOOP_KINDS, Engine, Limits, Step, loop_fingerprint, sound_mesh
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import need_domain
 from adaptmg.mesh.grading import measures

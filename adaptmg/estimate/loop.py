@@ -26,8 +26,7 @@ from adaptmg._numba import clock, compiling_seconds
 from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.bisect import divisible
 from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of
-from adaptmg.estimate.loop_store import StoredStep, restored
-from adaptmg.estimate.step import Engine, Limits, Step, expected_seconds, settled, sound_mesh
+from adaptmg.estimate.step import Engine, Limits, Step, StoredStep, expected_seconds, restored, settled, sound_mesh
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection.tables import with_refinement

@@ -1,4 +1,4 @@
-from .processes import local_cluster as local_cluster
+from .cluster import local_cluster as local_cluster
 from .designs import (
     Grid as Grid, LatinHypercube as LatinHypercube, Points as Points, Random as Random, Repeated as Repeated,
     Sobol as Sobol, Zip as Zip
