@@ -9,12 +9,18 @@ from types import MappingProxyType
 from adaptmg import _checks as checks
 from adaptmg.cases.blocks import incline, leaning_strut, two_block_patch
 from adaptmg.cases.bolted_junction import Flanges, bolted_junction
-from adaptmg.cases.cattaneo import PartialSlip, cattaneo
+from adaptmg.cases.closed_forms import (
+    LineContact,
+    PartialSlip,
+    PointContact,
+    PunchPressure,
+    cattaneo,
+    flat_punch,
+    hertz_cylinder,
+    hertz_sphere,
+)
 from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
-from adaptmg.cases.dovetail import dovetail
-from adaptmg.cases.flat_punch import PunchPressure, flat_punch
-from adaptmg.cases.greco import curved_obstacle, greco_bar, greco_block, upset_block
-from adaptmg.cases.hertz import LineContact, PointContact, hertz_cylinder, hertz_sphere
+from adaptmg.cases.paper import curved_obstacle, dovetail, greco_bar, greco_block, upset_block
 from adaptmg.problem import ContactProblem
 
 __all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointContact", "PunchPressure", "TransitionField",

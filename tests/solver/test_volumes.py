@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.cases.hertz import quarter_cylinder
+from adaptmg.cases.closed_forms import quarter_cylinder
 from adaptmg.discrete import elasticity, smoothed, volumes
 from adaptmg.discrete.volumes import GROUP, Volumes, volume_groups
 from adaptmg.mesh import MeshArrays, structured
