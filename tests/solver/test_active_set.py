@@ -11,9 +11,10 @@ from smoother_problems import network
 import adaptmg as am
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.structured import structured
+from adaptmg.smoother.newton_rows import linearise
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem
-from adaptmg.solver.active_set import CondensedSteps, SparseSteps, linearise, local_near_nullspace
+from adaptmg.solver.newton_steps import CondensedSteps, SparseSteps, local_near_nullspace
 from adaptmg.solver.record import Run
 
 CASES = {

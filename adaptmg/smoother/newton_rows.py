@@ -1,0 +1,129 @@
+r"""Linearised contact conditions, node by node.
+
+With q = b - A w (minus the force on the body), the slip :math:`\tau` and factors :math:`c_n, c_t > 0` (N/m)
+the contact conditions are the equations (P. Alart, A. Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991,
+doi:10.1016/0045-7825(91)90022-X)
+
+.. math:: q_n = \max(0, z_n),\quad z_n = q_n + c_n (w_n - g_0);\qquad
+          q_t = \min(1, B/|z_t|)\, z_t,\quad z_t = q_t + c_t \tau,\quad B = s + \mu \max(0, z_n).
+
+A node is active where :math:`z_n > 0`, sticks where :math:`|z_t| \le B > 0` and slips elsewhere. A Newton step
+:math:`\delta` then satisfies (S. Hueber, G. Stadler, B. Wohlmuth, SIAM J. Sci. Comput. 30, 2008, doi:10.1137/060671061)
+
+- active :math:`\delta_n = g_0 - w_n`, otherwise :math:`(A\delta)_n = q_n`;
+- stick :math:`\delta_t = -\tau`;
+- slip, with :math:`z = z_t/|z_t|,\ \Pi = I - z z^T` and :math:`\mu = 0` where not active,
+
+.. math:: (A_t - \mu z A_n + \kappa \Pi)\,\delta = z (z\cdot q_t - s - \mu q_n) + \frac{|z_t|}{|z_t| - B}\,\Pi q_t,
+          \qquad \kappa = \frac{c_t B}{|z_t| - B} \ge 0.
+
+This is the derivative itself, solved for :math:`\delta q_t`; :math:`\kappa\Pi` tends to the slip Hessian
+:math:`(B/|\tau|)\,\Pi`. Without the Coulomb term :math:`\mu z A_n` the matrix is symmetric and positive definite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg.smoother.system import NodalContact, contact_codes
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """The equations of one Newton step at the contact nodes; see the module."""
+
+    active: np.ndarray  # (n,) bools
+    slip: np.ndarray  # (n,) bools
+    direction: np.ndarray  # (n, dim - 1): z, zero where the node sticks
+    coupling: np.ndarray  # (n,): mu where the node is active and slips, else 0
+    curvature: np.ndarray  # (n, dim - 1, dim - 1): kappa Pi, N/m
+    force: np.ndarray  # (n, dim): right-hand sides of the equations that are not prescriptions, N
+    prescribed: np.ndarray  # (n, dim) bool: components whose change is given
+    change: np.ndarray  # (n, dim): these changes, zero elsewhere, m
+
+    @property
+    def symmetric(self) -> bool:
+        return not self.coupling.any()
+
+    @property
+    def key(self) -> bytes:
+        """The contact status: the codes of :mod:`adaptmg.smoother.system`."""
+        backwards = ~(self.direction[:, 0] > 0) if self.direction.shape[1] == 1 else False
+        return contact_codes(self.active, ~self.slip, backwards).tobytes()
+
+    @property
+    def same_matrix(self) -> bool:
+        """Whether every step with this :attr:`key` has the same matrix: no curvature, directions in the key."""
+        return not self.curvature.any() and (self.direction.shape[1] == 1 or self.symmetric)
+
+
+def linearise(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, stiffness: np.ndarray,
+              factor: float) -> Linearised:
+    """Decide the status of every contact node and set up its equations."""
+    tangential = factor * stiffness[:, 1:].max(axis=1)
+    with np.errstate(invalid="ignore"):
+        augmented = residual[:, 0] + factor * stiffness[:, 0] * (unknowns[:, 0] - contact.gap)
+    active = augmented > 0
+    tau = unknowns[:, 1:] - contact.slip_reference
+    bound = contact.limit + contact.friction * np.maximum(augmented, 0.0)
+    trial = residual[:, 1:] + tangential[:, None] * tau
+    size = np.linalg.norm(trial, axis=1)
+    slip = ~((size <= bound) & (bound > 0))
+    slip[contact.driven] = True
+    equations = _equations(contact, unknowns, residual, active, slip, trial, size, bound, tangential)
+    return _beside_held(contact, tau, residual, equations)
+
+
+def _beside_held(contact: NodalContact, tau: np.ndarray, residual: np.ndarray, equations: Linearised) -> Linearised:
+    r"""The equations, in place, of nodes that slip along a held tangent: there |tau| > 0, and the second tangent has
+
+    .. math:: q_2 = (s + \mu p)\,\tau_2/|\tau|,\qquad \kappa = (s + \mu p)\,\tau_1^2/|\tau|^3 .
+    """
+    at = contact.driven
+    if len(at):
+        size = np.linalg.norm(tau[at], axis=1)
+        z = tau[at, 1] / size
+        mu = np.where(equations.active[at], contact.friction[at], 0.0)
+        bound = contact.limit[at] + mu * np.maximum(residual[at, 0], 0.0)
+        equations.direction[at] = np.column_stack([np.zeros_like(z), z])
+        equations.coupling[at] = mu
+        equations.curvature[at] = 0.0
+        equations.curvature[at, 1, 1] = bound * (1 - z**2) / size
+        equations.force[at, 1] = 0.0
+        equations.force[at, 2] = residual[at, 2] - z * (contact.limit[at] + mu * residual[at, 0])
+    return equations
+
+
+def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) -> Linearised:
+    """Every node that has an obstacle touches and, where the law has friction, sticks."""
+    active = np.isfinite(contact.gap)
+    slip = ~((contact.limit > 0) | (active & (contact.friction > 0)))
+    zero = np.zeros(len(active))
+    equations = _equations(contact, unknowns, residual, active, slip, np.zeros_like(unknowns[:, 1:]), zero, zero, zero)
+    equations.change[contact.driven, 1] = 0.0
+    return equations
+
+
+def _equations(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, active: np.ndarray,
+               slip: np.ndarray, trial: np.ndarray, size: np.ndarray, bound: np.ndarray,
+               tangential: np.ndarray) -> Linearised:
+    moving = slip & (size > 0)
+    direction = np.where(moving[:, None], trial / np.where(moving, size, 1.0)[:, None], 0.0)
+    coupling = np.where(active & moving, contact.friction, 0.0)
+    limit = np.where(moving, contact.limit, 0.0)
+    beyond = np.where(moving, size - bound, 1.0)
+    across = np.eye(trial.shape[1]) - direction[:, :, None] * direction[:, None, :]
+    curvature = np.where(moving, tangential * bound / beyond, 0.0)[:, None, None] * across
+    along = np.sum(direction * residual[:, 1:], axis=1)
+    force = residual.copy()
+    force[:, 1:] = (direction * (along - limit - coupling * residual[:, 0])[:, None]
+                    + np.where(moving, size / beyond, 1.0)[:, None] * np.einsum("nij,nj->ni", across, residual[:, 1:]))
+    prescribed = np.zeros(unknowns.shape, dtype=bool)
+    prescribed[active, 0] = True
+    prescribed[~slip, 1:] = True
+    change = np.zeros_like(unknowns)
+    change[active, 0] = (contact.gap - unknowns[:, 0])[active]
+    change[~slip, 1:] = (contact.slip_reference - unknowns[:, 1:])[~slip]
+    return Linearised(active, slip, direction, coupling, curvature, force, prescribed, change)
