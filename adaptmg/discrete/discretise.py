@@ -27,6 +27,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -47,7 +48,7 @@ from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.sides import with_sides
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import fixed_dofs, held_directions, inclined_supports, supported_nodes
-from adaptmg.discrete.volumes import volume_groups
+from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.laws import Law, NodalLaw, check_law
@@ -109,7 +110,7 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
         if parts["volumes"] is not None and held.inclined is not None:
             raise ValueError("supports along directions that are no axes cannot hold smoothed elements with poisson "
                              "above .4; turn the problem, or take elements=\"linear\"")
-    parts["strain_free"] = _strain_free(problem, mesh, materials)
+    parts |= _strain_free(problem, mesh, materials, parts.get("volumes"))
     for array in (parts["load"], fixed, values, *bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
     return DiscreteProblem.assembled(weights, **parts)
@@ -134,12 +135,17 @@ def _nodal_law(problem: ContactProblem, mesh: MeshArrays, contact: ContactNodes)
     return NodalLaw(*bounds)
 
 
-def _strain_free(problem: ContactProblem, mesh: MeshArrays, materials: Materials) -> tuple[np.ndarray, float] | None:
+def _strain_free(problem: ContactProblem, mesh: MeshArrays, materials: Materials, volumes: Volumes | None
+                 ) -> dict[str, Any]:
+    """The parts of a problem that initial strains make besides loads."""
     strains = [load for load in problem.loads if isinstance(load, InitialStrain)]
     if not strains:
-        return None
-    return (load_vector(mesh, strains, materials, problem.elements),
-            StressData.of(mesh, materials, strains, problem.elements).suppressed(mesh))
+        return {"strain_free": None, "volumes": None if volumes is None else replace(volumes, expansion=0.0)}
+    data = StressData.of(mesh, materials, strains, problem.elements)
+    if volumes is not None:
+        volumes = volumes.expanding(mesh, data.initial_strain, data.axisymmetric)
+    return {"strain_free": (load_vector(mesh, strains, materials, problem.elements), data.suppressed(mesh)),
+            "volumes": volumes}
 
 
 def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
@@ -189,10 +195,10 @@ def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
     if changed:
         materials = body_materials(mesh, problem.material)
         load = old.relative_forces(load_vector(mesh, problem.loads, materials, problem.elements))
-        strain_free = _strain_free(problem, mesh, materials)
-        if strain_free is not None:
-            strain_free = old.relative_forces(strain_free[0]), strain_free[1]
-        parts["strain_free"] = strain_free
+        parts |= _strain_free(problem, mesh, materials, old.volumes)
+        if parts["strain_free"] is not None:
+            forces, suppressed = parts["strain_free"]
+            parts["strain_free"] = old.relative_forces(forces), suppressed
         check_size("load", np.abs(load).max())
         parts["load"] = bounded("load", load, (old.n_dofs,))
     return old.posing(**parts)
@@ -481,8 +487,12 @@ class LoadSteps:
     def step(self, discrete: DiscreteProblem, factors: Mapping[str, float], slip_reference: np.ndarray
              ) -> DiscreteProblem:
         """The problem of a load step; slips count from ``slip_reference`` (n_contact, dim), m."""
+        volumes = discrete.volumes
+        if volumes is not None and self.strains:
+            data = self.stress_data(factors)
+            volumes = volumes.expanding(self.mesh, data.initial_strain, data.axisymmetric)
         return discrete.with_step(self.load(factors), self.fixed_values(factors), slip_reference,
-                                  self.strain_free(factors), factors)
+                                  self.strain_free(factors), factors, volumes)
 
     def strain_free(self, factors: Mapping[str, float]) -> tuple[np.ndarray, float] | None:
         """See :class:`DiscreteProblem`."""

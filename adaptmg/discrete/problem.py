@@ -185,12 +185,12 @@ class DiscreteProblem(Unknowns):
 
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray,
                   strain_free: tuple[np.ndarray, float] | None = None,
-                  factors: Mapping[str, float] | None = None) -> DiscreteProblem:
+                  factors: Mapping[str, float] | None = None, volumes: Volumes | None = None) -> DiscreteProblem:
         """The same bodies under other data (a load step): nothing else is checked or copied again.
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a coupling relative ones),
         N and m; slips count from ``slip_reference`` (n_contact, dim), as :meth:`at_contact` has it, m. ``factors`` are
-        those of the step.
+        those of the step, and ``volumes`` have its initial strains.
         """
         contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
@@ -202,7 +202,8 @@ class DiscreteProblem(Unknowns):
             inclined = replace(inclined, load=load.reshape(-1, self.dim)[inclined.nodes])
             load, strain_free = inclined.posed(load, prescribed), inclined.strain_free(strain_free, prescribed)
         return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact,
-                           strain_free=strain_free, inclined=inclined)
+                           strain_free=strain_free, inclined=inclined,
+                           volumes=self.volumes if volumes is None else volumes)
 
     def posing(self, **parts: object) -> DiscreteProblem:
         """The same with other parts (load, law, ...), which have been checked."""

@@ -151,6 +151,8 @@ class StressData:
             # means around edges of what the tensors of bodies make
             means = smoothed(mesh, stress, volume) if self.smoothed else stress
             return float(volume @ self.moduli.work(stress, means, plane))
+        if self.smoothed:  # the rest is energy of volumes
+            lame = edge_lame(lame, shear)
         stress = (lame * strain.sum(axis=1, keepdims=True) + 2 * shear * strain)[:, :dim]
         # what strains in the plane alone are under this stress
         elastic = (stress - lame / (dim * lame + 2 * shear) * stress.sum(axis=1, keepdims=True)) / (2 * shear)

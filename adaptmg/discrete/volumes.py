@@ -12,7 +12,8 @@ K is never formed. With the group pressures :math:`p_a = \kappa\, b_a u` (tensio
 
 .. math:: K' u + B^T p = f,\qquad b_a u - p_a/\kappa = 0,
 
-which makes sense for Poisson's ratio .5, :math:`1/\kappa = 0`, too. Single nodes are an unstable pair with linear
+which makes sense for Poisson's ratio .5, :math:`1/\kappa = 0`, too. Of initial strains the mean trace is taken off
+:math:`b_a u`. Single nodes are an unstable pair with linear
 displacements; groups of four in the plane, eight in space are stable (the inf-sup constant is .17 on all meshes tried).
 """
 
@@ -27,7 +28,7 @@ from scipy import sparse
 from adaptmg._numba import kernel
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants, node_pattern
 from adaptmg.discrete.recovery import apart
-from adaptmg.discrete.smoothed import edge_lame, shape_gradients
+from adaptmg.discrete.smoothed import edge_lame, element_measures, shape_gradients
 from adaptmg.geometry.search import morton_order
 from adaptmg.mesh.arrays import MeshArrays
 
@@ -47,6 +48,7 @@ class Volumes:
     compliance: np.ndarray  # (n_groups,): 1 / kappa, 1/Pa; 0: incompressible
     modulus: np.ndarray  # (n_groups,): lam_1 + mu, Pa
     corners: np.ndarray  # (n_elements, dim + 1) int32: groups of the corners of elements, -1 for none
+    expansion: np.ndarray | float = 0.0  # (n_groups,): mean trace of initial strains
 
     def __len__(self) -> int:
         return len(self.areas)
@@ -61,8 +63,8 @@ class Volumes:
         return self.columns @ pressures
 
     def strains(self, unknowns: np.ndarray) -> np.ndarray:
-        """Mean divergence b u (n_groups,)."""
-        return (self.rows @ unknowns) / self.areas
+        """Mean divergence b u (n_groups,), less that of free expansion."""
+        return (self.rows @ unknowns) / self.areas - self.expansion
 
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """b u - p / kappa (n_groups,)."""
@@ -84,6 +86,12 @@ class Volumes:
     def with_rows(self, rows: sparse.csr_array) -> Volumes:
         """The same groups in other unknowns."""
         return replace(self, rows=rows)
+
+    def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
+        """The same under initial strains (n_elements, 3)."""
+        own, size = self.corners >= 0, self.corners.shape[1]
+        shares = np.repeat(element_measures(mesh, axisymmetric) * strain.sum(axis=1) / size, size).reshape(own.shape)
+        return replace(self, expansion=np.bincount(self.corners[own], shares[own], len(self)) / self.areas)
 
     def at_nodes(self, pressures: np.ndarray) -> np.ndarray:
         """Pressures (n_nodes,) of the groups of nodes, between bodies their mean; zero where there are none."""

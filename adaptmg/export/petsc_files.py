@@ -181,8 +181,10 @@ def _discrete(prefix: str, discrete: DiscreteProblem) -> Iterator[Part]:
                    modes[:, k], dim)
     if discrete.volumes is not None:
         volumes = discrete.volumes
-        yield Part(f"{prefix}volumes", "Mat", "B: A u + B' p = b, B u = C p with the pressures p of groups of nodes",
-                   "m", volumes.rows)
+        yield Part(f"{prefix}volumes", "Mat",
+                   "B: A u + B' p = b, B u = C p + v with the pressures p of groups of nodes", "m", volumes.rows)
+        yield Part(f"{prefix}volume_expansion", "Vec", "v, by how much initial strains enlarge the groups",
+                   "m^2 or m^3", volumes.areas * volumes.expansion)
         yield Part(f"{prefix}volume_compliance", "Vec", "C, volumes of the groups over their stiffness", "m/Pa",
                    volumes.areas * volumes.compliance)
     if coupling is not None:

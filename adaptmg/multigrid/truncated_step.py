@@ -79,7 +79,9 @@ class TruncatedStep:
         for k in range(self._interface_sweeps):
             self._interface_sweep(self.interface.backward if k % 2 == 0 else self.interface.forward)
         if self.motions is not None:
-            self.motions.settle(self.unknowns, [unknowns for unknowns, _ in self._past], self.residual)
+            # pressures stand behind the unknowns
+            past = [iterate[:len(self.unknowns)] for iterate, _ in self._past]
+            self.motions.settle(self.unknowns, past, self.residual)
 
     def linearise(self, safe: bool, trusted: float, energy: float) -> StepState:
         """Update the contact status, truncate the residual and, where the status has changed, the coarse matrices.

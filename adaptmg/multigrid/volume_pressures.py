@@ -11,6 +11,8 @@ energy :math:`A\,(\lambda_1 + \mu)\,(b\,u - p/\kappa)^2`. So the number of cycle
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import sparse
 
@@ -27,15 +29,15 @@ class VolumePressures:
         volumes, free = problem.volumes, (~problem.fixed).astype(float)
         rows = sparse.csr_array((volumes.rows.data * free[volumes.rows.indices], volumes.rows.indices,
                                  volumes.rows.indptr), shape=volumes.rows.shape)
-        self.volumes, self._whole, self._cautious = volumes.with_rows(rows), volumes, 0
+        self.volumes, self._cautious = replace(volumes, rows=rows, expansion=0.0), 0
         self.values = np.zeros(len(volumes))
         self.pose(problem, start)
 
     def pose(self, problem: DiscreteProblem, start: np.ndarray | None) -> None:
-        """Take over the prescribed values of another load step, and pressures if there are any."""
+        """Take over prescribed values and initial strains of another load step, and pressures if there are any."""
         if start is not None:
             self.values = start.copy()
-        self._prescribed = self._whole.strains(problem.fixed_values)
+        self._prescribed = problem.volumes.strains(problem.fixed_values)
 
     @property
     def weights(self) -> np.ndarray:
@@ -43,7 +45,7 @@ class VolumePressures:
         return self.volumes.areas * self.volumes.modulus
 
     def missed(self, unknowns: np.ndarray) -> np.ndarray:
-        """b u - p / kappa (n_groups,) for unknowns (n_dofs,) from the prescribed values."""
+        """What volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed values."""
         return self.volumes.missed(unknowns, self.values) + self._prescribed
 
     def forces_missed(self, missed: np.ndarray) -> float:

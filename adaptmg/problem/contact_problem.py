@@ -151,11 +151,6 @@ class ContactProblem:
                                  "elements=\"smoothed\"")
             if not linear and one.anisotropy is not None:
                 self._check_anisotropic(one)
-        for load in [] if linear else [load for load in self.loads if isinstance(load, InitialStrain | Preload)]:
-            one = self.material if isinstance(self.material, Elastic) else self.material.get(load.body)
-            if one is not None and one.poisson > _MOST_POISSON and not isinstance(one, PlaneStress):
-                raise ValueError(f"poisson must be at most {_MOST_POISSON:g} where initial strains act on smoothed "
-                                 f"elements, got {one.poisson:g}: take elements=\"linear\"")
 
     def _check_anisotropic(self, one: Elastic) -> None:
         if one.anisotropy.varies:

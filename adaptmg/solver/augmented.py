@@ -53,7 +53,8 @@ class Augmented:
         self._offset = rest * self._before
         #: whether the first solve ends it
         self.exact = not (rest > 1e-12).any()
-        self.problem = formed.posing(load=problem.load - problem.volumes.forces(self._offset), law=problem.law,
+        resting = self._offset - self._kappa * problem.volumes.expansion
+        self.problem = formed.posing(load=problem.load - problem.volumes.forces(resting), law=problem.law,
                                      fixed_values=problem.fixed_values, contact=problem.contact,
                                      strain_free=problem.strain_free)
 
