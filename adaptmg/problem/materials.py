@@ -113,7 +113,8 @@ class Elastic:
     dim: ClassVar[int]
 
     def __post_init__(self) -> None:
-        if self.anisotropy is not None and (self.young, self.poisson) != self.anisotropy.nearest():
+        own = None if self.anisotropy is None else checks.instance("anisotropy", self.anisotropy, Anisotropy)
+        if own is not None and (self.young, self.poisson) != own.nearest():
             raise ValueError("young and poisson of an anisotropic material follow from its stiffness: make another by "
                              "orthotropic(...) or anisotropic(...)")
         checks.convert(self, checks.quantity, "young", positive=True)

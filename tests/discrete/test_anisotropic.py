@@ -232,6 +232,7 @@ test_refuses = refused(
     (lambda: am.Solid.anisotropic(-SILICON), "stiffness must be positive definite"),
     (lambda: am.Solid.anisotropic(SILICON[:3, :3]), r"stiffness must have shape \(6, 6\)"),
     (lambda: replace(am.Solid.anisotropic(SILICON), young=1e9), "follow from its stiffness"),
+    (lambda: am.Solid(young=1e9, poisson=0.3, anisotropy=SILICON), TypeError, "anisotropy must be Anisotropy"),
     (lambda: am.InitialStrain.thermal((1e-5,), 1.0), "expansion must have 2 or 3 components"),
     (lambda: am.InitialStrain.thermal(1e-5, "hot"), TypeError, "temperature must be a number"),
     (lambda: supported_stiffness(MESHES[3], am.Solid.orthotropic(**WOOD, axes=lambda x: np.ones((len(x), 3, 3))), ()),
