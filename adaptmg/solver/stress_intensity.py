@@ -79,8 +79,9 @@ class _Tip:
 def stress_intensity(result: Result, crack: str, tip: int, radius: float | None) -> StressIntensity:
     """See :meth:`adaptmg.Result.stress_intensity`."""
     mesh, data = result.mesh, result.stress_data
-    if mesh.dim != 2 or data is None or data.axisymmetric:
-        raise ValueError("stress_intensity: only plane problems (PlaneStrain, PlaneStress) have K_I and K_II here")
+    if mesh.dim != 2 or data is None or data.axisymmetric or data.moduli is not None:
+        raise ValueError("stress_intensity: only plane problems (PlaneStrain, PlaneStress) of isotropic bodies have "
+                         "K_I and K_II here")
     checks.boundary_name("crack", crack)
     at = _tip(mesh, crack, checks.integer("tip", tip, 0))
     r = at.local(mesh, mesh.points)[0]
@@ -158,8 +159,9 @@ def _factors(result: Result, at: _Tip, radius: float, fit: np.ndarray) -> tuple[
     gradient = at.axes @ displacement_gradient(mesh, result.displacement)[ring] @ at.axes.T
     stress = at.axes @ data.tensors(mesh, result.displacement)[ring, :2, :2] @ at.axes.T
     body = mesh.element_body[ring[0]]
-    lame, shear = data.lame[body], data.shear[body]
-    kolosov, modulus = (lame + 3 * shear) / (lame + shear), 4 * shear * (lame + shear) / (lame + 2 * shear)
+    shear = data.shear[body]
+    share = shear / (data.lame[body] + shear)  # 0 of incompressible bodies
+    kolosov, modulus = 1 + 2 * share, 4 * shear / (1 + share)
     rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
     distance, angle = at.local(mesh, quadrature_points(mesh.points, mesh.elements[ring], rule))
     measure = mesh.volumes[ring][:, None] * weights

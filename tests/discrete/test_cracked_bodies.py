@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
+from adaptmg.discrete.stress import StressData
 
 P = 1e-3
 
@@ -66,6 +67,9 @@ def test_stress_intensity_factors_are_those_of_an_infinite_plate():
         result.stress_intensity("crack", radius=1.0)
     with pytest.raises(ValueError, match="too coarse"):
         result.stress_intensity("crack", radius=0.1)
+    layered = am.PlaneStrain.orthotropic(young=(2e9, 1e9, 1e9), poisson=(0.2,) * 3, shear=(4e8,) * 3)
+    with pytest.raises(ValueError, match="isotropic bodies"):
+        replace(result, stress_data=StressData.of(result.mesh, layered)).stress_intensity("crack")
 
 
 @pytest.mark.parametrize("in_contact", [True, False])
