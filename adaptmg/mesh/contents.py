@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import FacetTable, MeshArrays, components, facet_keys, facet_table, normalised
-from adaptmg.mesh.shapes import KINDS, cut_note, dimension, middles, simplices
+from adaptmg.mesh.arrays import FacetTable, MeshArrays, components, facet_keys, facet_table, normalised, signed_measures
+from adaptmg.mesh.shapes import KINDS, around_centres, cut_note, dimension, middles, simplices
 from adaptmg.mesh.soundness import check_stranger
 
 _FLAT = 1e-9
@@ -30,6 +30,7 @@ class Contents:
     bodies: list[str]
     faces: dict[str, list[tuple[str, np.ndarray]]] = field(default_factory=dict)  # kinds and nodes of named faces
     node_sets: dict[str, np.ndarray] = field(default_factory=dict)
+    surfaces: set[str] = field(default_factory=set)  # those sets of nodes that come before the others
     notes: list[str] = field(default_factory=list)
 
 
@@ -81,15 +82,20 @@ def _cut(contents: Contents, unit: float, body: str | None) -> tuple[_Tables, li
         raise ValueError(f"it holds {', '.join(sorted(kinds)) or 'no elements'}, but neither triangles and "
                          "quadrilaterals nor tetrahedra and other solids (Gmsh saves only what is in a physical group: "
                          "add a Physical Surface or Volume)")
-    counts: dict[str, list[np.ndarray]] = {}
+    points, counts = contents.points, {}
     elements, labels = [np.empty((0, dim + 1), dtype=np.int64)], [np.empty(0, dtype=np.int64)]
     for kind, nodes, label in contents.cells:
         if len(nodes) and dimension(kind) == dim:
-            found, owner = simplices(kind, nodes, contents.points)
+            found, owner = simplices(kind, nodes, points)
+            bad = _turned_over(points[:, :dim], found, owner, len(nodes))
+            if dim == 3 and len(bad) and kind not in ("tetra", "hexahedron27"):
+                whole = ~np.isin(owner, bad)
+                again, whose = around_centres(kind, nodes[bad], len(points))
+                points = np.concatenate([points, points[nodes[bad]].mean(axis=1)])
+                found, owner = np.concatenate([found[whole], again]), np.concatenate([owner[whole], bad[whose]])
             elements.append(found)
             labels.append(label[owner])
             counts.setdefault(kind, []).append(np.bincount(owner, minlength=len(nodes)))
-    points = contents.points
     used = points[np.unique(np.concatenate(elements))]
     if dim == 2 and np.ptp(used[:, 2]) > _FLAT * np.ptp(used[:, :2], axis=0).max():
         raise ValueError("it holds plane elements only, but they are not in a plane z = constant: z runs from "
@@ -100,6 +106,13 @@ def _cut(contents: Contents, unit: float, body: str | None) -> tuple[_Tables, li
     empty = np.empty(0, dtype=np.int64)
     return _Tables(unit * points[:, :dim], np.concatenate(elements), label, list(bodies), empty.reshape(-1, dim), empty,
                    []), list(filter(None, (cut_note(kind, np.concatenate(parts)) for kind, parts in counts.items())))
+
+
+def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
+    """The cells of which a part is flat, or lies the other way than the whole."""
+    sizes = signed_measures(points, cells)
+    whole = np.bincount(owner, sizes, minlength=n)
+    return np.unique(owner[sizes * np.sign(whole[owner]) <= 1e-9 * np.abs(whole[owner])])
 
 
 def _in_pieces(tables: _Tables, table: FacetTable) -> tuple[_Tables, list[str]]:
@@ -148,7 +161,8 @@ def _labelled(tables: _Tables, table: FacetTable, contents: Contents, wanted: Se
         else:
             held.setdefault(name, np.flatnonzero(inside[facets].all(axis=1)))
     if wanted is None:
-        order = sorted(held, key=lambda name: (name not in contents.faces, len(held[name])))
+        first = contents.surfaces.union(contents.faces)
+        order = sorted(held, key=lambda name: (name not in first, len(held[name])))
     else:
         if unknown := [name for name in wanted if name not in held]:
             raise ValueError(f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds {_some(list(held))}")

@@ -94,6 +94,7 @@ class _Deck:
         self.current, self.material, self.interaction = self.root, "", ""
         self.spelling: dict[str, str] = {}
         self.not_read: dict[str, None] = {}
+        self.surfaces: set[str] = set()
         self.files = 0
 
     def read_file(self, path: Path) -> None:
@@ -236,6 +237,7 @@ class _Deck:
                 raise ValueError(f"there is no set {word!r}")
             if nodal:
                 part.node_sets.setdefault(name, []).extend(numbers)
+                self.surfaces.add(name)
                 continue
             facet = re.fullmatch(r"[SE](\d)|SPOS|SNEG|", "".join(rest[:1]).upper())
             if facet is None:
@@ -289,7 +291,7 @@ class _Deck:
         if dim < 2:
             raise ValueError(f"it holds elements of the types {', '.join(used + left) or 'none'}; solid or plane ones "
                              "are needed (C3D8, C3D10, CPE4, CPS6, CAX8, ...)")
-        contents = Contents(points, [], [], notes=notes)
+        contents = Contents(points, [], [], notes=notes, surfaces=set(map(self._spelt, self.surfaces)))
         solid = [block for block in blocks if dimension(block[0]) == dim]
         sets = {name: np.unique(np.concatenate(parts)) for name, parts in root.element_sets.items() if parts}
         piece, contents.bodies = _pieces(solid, sets, root.sections, len(points))

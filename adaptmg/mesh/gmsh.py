@@ -165,10 +165,17 @@ def _names(data: bytes) -> dict[tuple[int, int], str]:
     return result
 
 
+def _count(name: str, data: bytes) -> tuple[int, bytes]:
+    """The number in the first line of a section of MSH 2, and the rest."""
+    head, _, rest = data.lstrip().partition(b"\n")
+    if not head.strip().isdigit():
+        raise ValueError(f"the section ${name} must begin with the number of its entries")
+    return int(head), rest
+
+
 def _nodes_2(data: bytes, binary: bool) -> tuple[np.ndarray, np.ndarray]:
     """Numbers and places of nodes of MSH 2."""
-    head, _, rest = data.lstrip().partition(b"\n")
-    count = int(head)
+    count, rest = _count("Nodes", data)
     if binary:
         if len(rest) != 28 * count:
             raise ValueError("the section $Nodes does not hold as many entries as it says")
@@ -182,11 +189,11 @@ def _nodes_2(data: bytes, binary: bool) -> tuple[np.ndarray, np.ndarray]:
 
 def _elements_2(data: bytes, binary: bool) -> Iterator[tuple[int, list[int], np.ndarray]]:
     """Elements of MSH 2; rows of one kind and group in one block where they follow each other."""
-    head, _, rest = data.lstrip().partition(b"\n")
+    count, rest = _count("Elements", data)
     blocks: dict[tuple[int, int], list[np.ndarray]] = {}
     if binary:
         section, total = _Section("Elements", rest, True), 0
-        while total < int(head):
+        while total < count:
             kind, n, tags = section.take("int", 3).tolist()
             width = 1 + tags + KINDS[_kind(kind)][1]
             if n < 1 or tags < 0:
@@ -202,7 +209,7 @@ def _elements_2(data: bytes, binary: bool) -> Iterator[tuple[int, list[int], np.
             if tags < 0 or len(line) != 3 + tags + KINDS[_kind(kind)][1]:
                 raise ValueError("a line of the section $Elements does not hold as many entries as it says")
             texts.setdefault((kind, tags), []).append(list(map(int, line[3:])))
-        if len(lines) != int(head):
+        if len(lines) != count:
             raise ValueError("the section $Elements does not hold as many entries as it says")
         blocks = {key: [np.array(rows, dtype=np.int64)] for key, rows in texts.items()}
     for (kind, tags), parts in blocks.items():

@@ -23,6 +23,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._files import file_size, read_bytes, waiting_folder
 from adaptmg._on_demand import OnDemand
+from adaptmg._text import printable, shortened
 from adaptmg.mesh.arrays import MeshArrays, normalised
 from adaptmg.mesh.contents import Contents, mesh_of
 from adaptmg.mesh.deck import read_deck
@@ -239,7 +240,8 @@ def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None
                              split_bodies=checks.flag("split_bodies", split_bodies), boundaries=wanted, body=body)
     except (ValueError, OverflowError) as error:
         how = "" if suffix in (".msh", ".inp") else "it is not a .msh or .inp file, and cannot be read otherwise: "
-        raise ValueError(f"{str(path)!r}: {how * isinstance(error, NetgenFails)}{error}") from error
+        why = shortened(printable(str(error)))
+        raise ValueError(f"{str(path)!r}: {how * isinstance(error, NetgenFails)}{why}") from error
     if len(rest) and unnamed is None:
         place = ", ".join(f"{c:.6g}" for c in rest[0])
         warnings.warn(f"{str(path)!r}: {len(rest)} facets of the boundary, one of them at ({place}), have no name in "

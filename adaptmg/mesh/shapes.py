@@ -1,10 +1,10 @@
-"""Elements of any shape cut into triangles and tetrahedra that fit across faces; no node is added and none is dropped.
+"""Elements of any shape cut into triangles and tetrahedra that fit across faces; no node is dropped.
 
 Shapes are called and numbered as in meshio (VTK). An element of second order is cut at its middle nodes into linear
 cells. A cell of several sides is a pyramid over each face that its smallest node is not on; a quadrilateral face is cut
 through its own smallest node. Both neighbours of a face see the same numbers, so that their cuts agree, whatever their
 shapes. Where no neighbour looks, the shorter diagonal is taken: of quadrilaterals in the plane, and of the octahedron
-inside a tetrahedron of second order.
+inside a tetrahedron of second order. A twisted cell of which a part would be turned over gets a node at its centre.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 Corners = tuple[int, ...]
-#: local node numbers of the facets of a shape, numbered as Abaqus numbers them from 1
+#: local node numbers of the facets of a shape, with their normals inwards, numbered as Abaqus numbers them from 1
 FACETS: dict[str, tuple[Corners, ...]] = {
     "triangle": ((0, 1), (1, 2), (2, 0)),
     "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
@@ -113,7 +113,7 @@ def _parts(kind: str) -> Parts:
         if kind == "wedge18":
             result += [(facets, nodes) for nodes in ((6, 7, 8, 15, 16, 17), (15, 16, 17, 9, 10, 11))]
         if kind == "pyramid14":
-            result += [(facets, (9, 10, 11, 12, apex)) for apex in (4, 13)]
+            result += [(facets, nodes) for nodes in ((9, 10, 11, 12, 4), (12, 11, 10, 9, 13))]
             result += [(FACETS["tetra"], (5 + i, 13, 9 + i, 9 + (i + 1) % 4)) for i in range(4)]
         return result
     # a cell at each corner, and what is left between the middle nodes
@@ -123,7 +123,7 @@ def _parts(kind: str) -> Parts:
         if len(ring) > 2:
             faces.append(ring)
         cell = {2: "triangle", 3: "tetra", 4: "pyramid"}[len(ring)]
-        result.append((FACETS[cell], (a, *ring) if len(ring) < 4 else (*ring, a)))
+        result.append((FACETS[cell], (a, *ring) if len(ring) < 4 else (*ring[::-1], a)))
     faces += [local[len(local) // 2:] for _, local in facets_of(kind)] if DIMENSIONS[shape] == 3 else []
     inner = tuple(range(_CORNERS[shape], n))
     number = {node: i for i, node in enumerate(inner)}
@@ -132,20 +132,22 @@ def _parts(kind: str) -> Parts:
 
 
 def _around(kind: str, corner: int) -> Corners:
-    """The middle nodes of the edges at a corner, neighbours on a face one after the other."""
-    edges = {_middle(kind, *edge) for edge in _EDGES[KINDS[kind][0]] if corner in edge}
-    if len(edges) < 4:
-        return tuple(sorted(edges))
-    faces = [set(local) & edges for _, local in facets_of(kind)]
-    ring = [min(edges)]
-    for _ in range(len(edges) - 1):
-        ring.append(next(m for m in sorted(edges - set(ring)) if {m, ring[-1]} in faces))
+    """The middle nodes of the edges at a corner, seen from there one after the other with the clock."""
+    shape = KINDS[kind][0]
+    steps = {}
+    for face in FACETS[shape] if DIMENSIONS[shape] == 3 else (tuple(range(_CORNERS[shape])),):
+        if corner in face:
+            at = face.index(corner)
+            steps[_middle(kind, corner, face[(at + 1) % len(face)])] = _middle(kind, corner, face[at - 1])
+    ring = [min(steps)]
+    while steps.get(ring[-1], ring[0]) != ring[0]:
+        ring.append(steps[ring[-1]])
     return tuple(ring)
 
 
 def simplices(kind: str, nodes: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles, tetrahedra or lines of some cells of a kind, and the cell that each comes from; those that collapsed
-    cells leave flat are dropped. With ``points``, of elements; without, of boundary facets, cut by numbers alone."""
+    """Triangles, tetrahedra or lines of some cells of a kind, oriented as these, and the cell that each comes from; those
+    that collapsed cells leave flat are dropped. With ``points``, of elements; without, of boundary facets, cut by numbers alone."""
     cells, owners = [], []
     for facets, local in _parts(kind):
         part = nodes[:, local]
@@ -162,6 +164,13 @@ def simplices(kind: str, nodes: np.ndarray, points: np.ndarray | None = None) ->
     order = np.sort(result, axis=1)
     whole = (order[:, 1:] != order[:, :-1]).all(axis=1)
     return result[whole], owner[whole]
+
+
+def around_centres(kind: str, nodes: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
+    """Tetrahedra between the facets of cells and new nodes ``first``, ... at their centres, and the cell of each."""
+    parts = [simplices(one, nodes[:, local]) for one, local in facets_of(kind)]
+    owner = np.concatenate([own for _, own in parts])
+    return np.column_stack([np.concatenate([found for found, _ in parts]), first + owner]), owner
 
 
 def _apex(kind: str, part: np.ndarray, points: np.ndarray | None) -> np.ndarray:
@@ -196,7 +205,7 @@ def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> t
                 turned = _first(base, base.argmin(axis=1))
                 triangles = [turned[:, :3], turned[:, [0, 2, 3]]]
             for triangle in triangles:
-                cells.append(np.column_stack([part[mine, top], triangle]))
+                cells.append(np.column_stack([triangle, part[mine, top]]))
                 rows.append(mine)
     return cells, rows
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, netgen
+from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen
 from adaptmg.mesh.netgen_solid import Shape
 from adaptmg.mesh.step import step_contents, step_shapes
 from adaptmg.mesh.surfaces import candidates
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _EDGE = 0.125
 #: cosine between outward normals of faces that lie on each other
 _OPPOSITE = -0.5
+#: seconds that a surface or the distances from a face may take, of which .01 to 1 are usual
+_LIMIT_S = 20.0
 #: of the extent of all solids
 _TOLERANCE = 1e-5
 
@@ -143,7 +145,7 @@ def touching(path: str | Path | StepFile, tolerance: float | None = None) -> tup
                     slack = reach + 0.05 * min(np.ptp(first, axis=0).max(), np.ptp(second, axis=0).max())
                     if (first[0] > second[1] + slack).any() or (second[0] > first[1] + slack).any():
                         continue
-                    if _on(worker, a, b, j, domain.unit, reach) or _on(worker, b, a, i, domain.unit, reach):
+                    if _on(worker, a, b, j, domain, reach) or _on(worker, b, a, i, domain, reach):
                         names = [f"{one}.{a.name}", f"{other}.{b.name}"]
                         slave, master = names if a.area <= b.area else names[::-1]
                         pairs.setdefault((slave, master), ContactPair(slave, master))
@@ -159,12 +161,13 @@ def _solids(worker: Netgen, domain: StepFile) -> Iterator[tuple[str, Shape, list
     contents = step_contents(worker, domain)
     for body, shape in step_shapes(worker, domain, contents):
         size = _EDGE * float(np.ptp(shape.corners, axis=0).max())
+        points, triangles, owner = np.empty((0, 3)), np.empty((0, 3), dtype=int), np.empty(0, dtype=int)
         try:
-            points, triangles, owner = worker("step_surface", size, seconds=LIMIT_S[3])
-        except NetgenFails:
+            points, triangles, owner = worker("step_surface", size, seconds=_LIMIT_S)
+        except NetgenFails as error:
+            # the other solids are gone with the process
             if not worker.alive:
-                raise
-            points, triangles, owner = np.empty((0, 3)), np.empty((0, 3), dtype=int), np.empty(0, dtype=int)
+                raise ValueError(f"{str(domain.path)!r}: Netgen cannot mesh the surface of {body!r}: {error}") from error
         places = shape.lower + shape.scale * points[triangles].reshape(-1, 3, 3)
         yield body, shape, [_face(shape, k, name, places[owner == k]) for k, name in enumerate(contents[body])]
 
@@ -184,14 +187,17 @@ def _face(shape: Shape, number: int, name: str, triangles: np.ndarray) -> _Face:
                  shape.lower + shape.scale * shape.centres[number], radius, triangles)
 
 
-def _on(worker: Netgen, face: _Face, other: _Face, solid: int, unit: float, reach: float) -> bool:
+def _on(worker: Netgen, face: _Face, other: _Face, solid: int, domain: StepFile, reach: float) -> bool:
     """Whether a triangle of a face lies on another face, which looks the other way there."""
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     # corners lie on round faces, centroids of their triangles do not; plane faces may have all corners on their rims
     places = face.triangles.mean(axis=1)[:, None] if face.kind == "plane" else face.triangles
-    near = worker("face_distances", solid, other.number, places.reshape(-1, 3) / unit, seconds=LIMIT_S[3])
-    close = np.flatnonzero((near.reshape(len(places), -1) * unit <= reach).all(axis=1))
+    try:
+        near = worker("face_distances", solid, other.number, places.reshape(-1, 3) / domain.unit, seconds=_LIMIT_S)
+    except NetgenFails as error:
+        raise ValueError(f"{str(domain.path)!r}: OCC cannot tell how far {other.name!r} is: {error}") from error
+    close = np.flatnonzero((near.reshape(len(places), -1) * domain.unit <= reach).all(axis=1))
     if not len(close):
         return False
     nearest = cKDTree(other.triangles.mean(axis=1)).query(face.triangles[close].mean(axis=1))[1]

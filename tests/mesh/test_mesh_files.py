@@ -9,6 +9,7 @@ import meshio
 import ngsolve
 import numpy as np
 import pytest
+from damage import outcome
 from gmsh_file import write
 from netgen.csg import unit_cube
 from netgen.geom2d import SplineGeometry
@@ -212,6 +213,13 @@ def test_every_cut_is_noticed(tmp_path):
             (tmp_path / name).write_text(text[:k])
             with pytest.raises(ValueError, match=re.escape(name)):
                 as_mesh(tmp_path / name)
+
+
+def test_damaged_files_are_read_soundly_or_refused(tmp_path):
+    # more of them: tests/campaigns/damaged_files.py
+    rows = [outcome(seed, tmp_path) for seed in range(48)]
+    assert not [row for row in rows if row["faults"]]
+    assert {row["why"] == "read" for row in rows} == {True, False}
 
 
 @pytest.mark.parametrize("name", ["a.vol", "b.msh", "c.msh", "d.vol.gz", "e.vol"])

@@ -36,8 +36,9 @@ def test_cuts_fill_an_element_and_drop_no_node(kind):
         x = np.empty_like(placed)
         x[numbers] = placed
         cells, owner = simplices(kind, numbers[None], None if points is None else x)
-        sizes = np.abs(np.linalg.det(x[cells[:, 1:]] - x[cells[:, :1]])) / (2, 6)[dim - 2]
-        assert sizes.sum() == pytest.approx(abs(size), rel=1e-12) and sizes.min() > 1e-4 * abs(size)
+        sizes = np.linalg.det(x[cells[:, 1:]] - x[cells[:, :1]]) / (2, 6)[dim - 2]
+        # oriented like the element
+        assert sizes.sum() == pytest.approx(size, rel=1e-12) and (sizes / size).min() > 1e-4
         assert set(cells.ravel()) == set(range(n)) and not owner.any()
 
 
@@ -84,6 +85,24 @@ def test_cuts_fit_across_faces(kinds):
             surface = mesh.surface(name)
             assert surface.measures.sum() == pytest.approx(4e-6) and (mesh.points[surface.nodes, 2] == z).all()
         assert any("each split into" in note for note in mesh.notes)
+
+
+@pytest.mark.parametrize("kind", ["hexahedron", "wedge15"])
+def test_twisted_elements_get_a_node_at_their_centre(kind):
+    points, nodes = element(kind), np.arange(KINDS[kind][1])
+    high = points[:, 2] == 1
+    angle, middle = np.radians(50), points[high, :2].mean(axis=0)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    points[high, :2] = (points[high, :2] - middle) @ turn + middle
+    for k, ends in enumerate(middles(kind)):
+        points[len(points) - len(middles(kind)) + k] = points[list(ends)].mean(axis=0)
+    for k in range(8):
+        numbers = np.random.default_rng(k).permutation(nodes)
+        x = np.empty_like(points)
+        x[numbers] = points
+        mesh, _ = mesh_of(Contents(x, [(kind, numbers[None], np.zeros(1, dtype=int))], ["b"]), unit=1.0, unnamed="free",
+                          split_bodies=False, boundaries=None, body=None)
+        assert mesh.n_nodes in (len(points), len(points) + 1) and mesh.bodies == ("b",)
 
 
 def test_collapsed_bricks_are_wedges():
@@ -161,6 +180,8 @@ def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
     assert any("set of all nodes" in note and "whole" in note for note in mesh.notes)
     mesh = from_file(path, unnamed="free", boundaries=["sides", "Seat"])
     assert set(mesh.boundaries) == {"sides", "Seat", "free"} and len(mesh.boundary_facets("sides")) == 5
+    path.write_text(DECK + "*Surface, name=top, type=node\nlid\n")
+    assert "top" in from_file(path, unnamed="free").boundaries
     with pytest.raises(ValueError, match="boundaries: it holds no 'side'; it holds"):
         from_file(path, boundaries=["side"])
 
