@@ -146,8 +146,9 @@ def _around(kind: str, corner: int) -> Corners:
 
 
 def simplices(kind: str, nodes: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles, tetrahedra or lines of some cells of a kind, oriented as these, and the cell that each comes from; those
-    that collapsed cells leave flat are dropped. With ``points``, of elements; without, of boundary facets, cut by numbers alone."""
+    """Triangles, tetrahedra or lines of some cells of a kind, oriented as these, and the cell that each comes from;
+    those that collapsed cells leave flat are dropped. Of elements, whose ``points`` choose the shorter diagonals, or of
+    boundary facets, which are cut by numbers alone."""
     cells, owners = [], []
     for facets, local in _parts(kind):
         part = nodes[:, local]

@@ -167,7 +167,7 @@ def _solids(worker: Netgen, domain: StepFile) -> Iterator[tuple[str, Shape, list
         except NetgenFails as error:
             # the other solids are gone with the process
             if not worker.alive:
-                raise ValueError(f"{str(domain.path)!r}: Netgen cannot mesh the surface of {body!r}: {error}") from error
+                raise ValueError(f"{str(domain.path)!r}: the surface of {body!r} cannot be meshed: {error}") from error
         places = shape.lower + shape.scale * points[triangles].reshape(-1, 3, 3)
         yield body, shape, [_face(shape, k, name, places[owner == k]) for k, name in enumerate(contents[body])]
 

@@ -21,7 +21,8 @@ NUMBERS = (b"0", b"-1", b"nan", b"1e300", b"999999999999", b"1000000000", b"", b
 @cache
 def sound() -> tuple[tuple[str, bytes], ...]:
     """Names and contents of sound files."""
-    bodies = {"lower": am.Box(width=2, depth=1, height=1), "upper": am.Box(width=1, depth=1, height=1, origin=(0, 0, 1))}
+    bodies = {"lower": am.Box(width=2, depth=1, height=1),
+              "upper": am.Box(width=1, depth=1, height=1, origin=(0, 0, 1))}
     mesh = am.mesh.structured(am.Assembly(parts=bodies), 2)
     flat = am.mesh.structured(am.Rectangle(width=2, height=1), 3)
     found = []
