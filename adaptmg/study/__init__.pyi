@@ -1,7 +1,6 @@
 from .cluster import local_cluster as local_cluster
 from .designs import (
-    Grid as Grid, LatinHypercube as LatinHypercube, Points as Points, Random as Random, Repeated as Repeated,
-    Sobol as Sobol, Zip as Zip
+    Grid as Grid, LatinHypercube as LatinHypercube, Points as Points, Random as Random, Sobol as Sobol
 )
 from .record import StudyStatus as StudyStatus
 from .study import Study as Study

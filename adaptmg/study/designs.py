@@ -1,14 +1,13 @@
 """Designs: the points of a study.
 
-A grid has every combination of values; other designs are an explicit list, several lists side by side, samples of
-ranges (independent, Latin hypercube, Sobol sequence; :mod:`scipy.stats.qmc`), and repeats with seeds. A design knows
-its length before it makes a point, so that one too large is refused in time.
+A grid has every combination of values; other designs are an explicit list, and samples of ranges (independent, Latin
+hypercube, Sobol sequence; :mod:`scipy.stats.qmc`). A design knows its length before it makes a point, so that one too
+large is refused in time.
 """
 
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, cast
@@ -16,12 +15,11 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.study.record import Value, canonical, parameter_value, restored
+from adaptmg.study.record import Value, canonical, parameter_value
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from adaptmg.study.store import Store
 
 #: points of a design: some GB of rows
 MOST = 2_000_000
@@ -59,7 +57,7 @@ def as_design(name: str, given: Given) -> Design:
             and all(isinstance(p, Mapping) for p in given[:10]):
         return Points(given)
     raise TypeError(f"{name} must be a mapping of names to sequences of values, a list of points, or a design "
-                    f"(adaptmg.study.Grid, Zip, Random ...), got {checks.described(given)}")
+                    f"(adaptmg.study.Grid, Points, Random ...), got {checks.described(given)}")
 
 
 def _check_length(length: int) -> int:
@@ -134,7 +132,7 @@ class Points(Design):
     Parameters
     ----------
     points : sequence of mappings, or pandas.DataFrame
-        All with the same names. A point may stand there once.
+        All with the same names. A point may stand there once: runs with other random numbers have a parameter ``seed``.
 
     Examples
     --------
@@ -168,29 +166,6 @@ class Points(Design):
     def points(self) -> Iterator[Point]:
         """Yield the points, in order."""
         return iter(self._points)
-
-
-class Zip(Points):
-    """Lists side by side: a point of the first values, one of the second ones, and so on.
-
-    Parameters
-    ----------
-    parameters : mapping of str to sequence
-        All of one length; values may repeat, points may not.
-
-    Examples
-    --------
-    >>> list(Zip({"h": [0.1, 0.05], "rtol": [1e-4, 1e-5]}).points())[1]
-    {'h': 0.05, 'rtol': 1e-05}
-    """
-
-    def __init__(self, parameters: Mapping[str, Sequence[Value]]) -> None:
-        given = _mapping("parameters", parameters, "sequences of values")
-        values = {name: _values(name, items) for name, items in given.items()}
-        lengths = {name: len(items) for name, items in values.items()}
-        if len(set(lengths.values())) > 1:
-            raise ValueError(f"the lists of Zip must have one length, got {lengths}")
-        super().__init__([dict(zip(values, row, strict=True)) for row in zip(*values.values(), strict=True)])
 
 
 class _Sample(Points):
@@ -294,50 +269,3 @@ class Sobol(_Sample):
         sequence = qmc.Sobol(dim, rng=np.random.default_rng(seed), bits=30)
         # the balance of a power of 2 is the user's choice: no warning
         return sequence.random_base2(math.ceil(math.log2(count)))[:count] if count > 1 else sequence.random(1)
-
-
-class Repeated(Design):
-    """Each point of a design several times, with seeds.
-
-    Parameters
-    ----------
-    design : design, or what stands for one
-    times : int
-    name : str
-        The parameter that takes the seed.
-    first : int
-        The first seed; the others follow.
-
-    Examples
-    --------
-    >>> [p["seed"] for p in Repeated({"n": [1]}, 3, first=7).points()]
-    [7, 8, 9]
-    """
-
-    def __init__(self, design: Given, times: int, *, name: str = "seed", first: int = 0) -> None:
-        self._design, self._name = as_design("design", design), checks.boundary_name("name", name)
-        if self._name in self._design.names:
-            raise ValueError(f"name must not be a parameter of the design, got {self._name!r}")
-        self._first, self._times = checks.integer("first", first), checks.integer("times", times, minimum=1)
-        _check_length(len(self))
-        self.names = (*self._design.names, self._name)
-
-    def __len__(self) -> int:
-        return len(self._design) * self._times
-
-    def points(self) -> Iterator[Point]:
-        """Yield the points, in order."""
-        for point in self._design.points():
-            for seed in range(self._first, self._first + self._times):
-                yield {**point, self._name: seed}
-
-
-def stored_design(store: Store, study: str, fixed: Mapping[str, Value]) -> Points:
-    """Return the stored points of a study with these fixed parameters, without the fixed ones."""
-    points = [{name: restored(value) for name, value in json.loads(key).items()} for key in store.get(study)]
-    texts = {name: canonical({name: value}) for name, value in fixed.items()}
-    mine = [{name: value for name, value in point.items() if name not in texts} for point in points
-            if all(name in point and canonical({name: point[name]}) == text for name, text in texts.items())]
-    if not mine:
-        raise ValueError(f"the store has no points of a study {study!r} with these fixed parameters: give parameters")
-    return Points(mine)

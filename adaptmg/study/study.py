@@ -20,7 +20,7 @@ import pandas as pd
 
 from adaptmg import _checks as checks
 from adaptmg._fingerprint import Fingerprint, environment, fingerprint
-from adaptmg.study.designs import Design, Given, as_design, stored_design
+from adaptmg.study.designs import Given, as_design
 from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, commit, in_turn, now
 from adaptmg.study.kept_files import Folder
 from adaptmg.study.record import (
@@ -79,7 +79,7 @@ class Study:
         next to the store, see :meth:`load`. An exception makes a failed row, and the study goes on.
     parameters : mapping of str to sequence, list of points, or design
         A mapping is a grid: every combination, the last parameter changing fastest. Values are numbers, strings,
-        bools, None or tuples of those. None: the points that the store has.
+        bools, None or tuples of those.
     store : path, optional
         SQLite file, made where missing; several studies can share one. Default: in memory, gone with the study.
     name : str, optional
@@ -99,22 +99,18 @@ class Study:
     [2.5, 4.5]
     """
 
-    def __init__(self, run: RunFunction, parameters: Given | None = None,
+    def __init__(self, run: RunFunction, parameters: Given,
                  store: str | os.PathLike[str] | None = None, *, name: str | None = None,
                  fixed: Mapping[str, Value] | None = None, depends: Mapping[str, object] | None = None) -> None:
         _check_run_function(run)
         self._function, self._depends = run, dict(depends or {})
         self.fixed = {key: parameter_value(key, value) for key, value in (fixed or {}).items()}
         self.name = run.__name__ if name is None else checks.boundary_name("name", name)
-        design = None if parameters is None else as_design("parameters", parameters)
-        if design is not None:
-            _check_names(run, design.names, self.fixed)
+        self.design = as_design("parameters", parameters)
+        _check_names(run, self.design.names, self.fixed)
         self._fingerprint()
         self._store = Store(store)
         self._files = Folder(self._store.path)
-        self.design: Design = stored_design(self._store, self.name, self.fixed) if design is None else design
-        if design is None:
-            _check_names(run, self.design.names, self.fixed)
 
     def __len__(self) -> int:
         return len(self.design)

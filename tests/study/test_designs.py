@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from adaptmg.study import Grid, LatinHypercube, Points, Random, Repeated, Sobol, Study, Zip
+from adaptmg.study import Grid, LatinHypercube, Points, Random, Sobol, Study
 
 
 def run(n, law="a", seed=0):
@@ -17,17 +17,12 @@ def points(design):
     return [tuple(point.values()) for point in design.points()]
 
 
-def test_grids_lists_and_zips():
+def test_grids_and_lists():
     assert points(Grid({"n": [1, 2], "law": ["a", "b"]})) == [(1, "a"), (1, "b"), (2, "a"), (2, "b")]
-    assert points(Zip({"n": [1, 2, 1], "law": ["a", "a", "b"]})) == [(1, "a"), (2, "a"), (1, "b")]
     rows = [{"n": 1, "law": "a"}, {"law": "b", "n": 2}]
     assert points(Points(rows)) == [(1, "a"), ("b", 2)]
     assert Study(run, rows).run(progress=False)["m"].tolist() == [1, -2]
     assert Study(run, Points(pd.DataFrame(rows))).run(progress=False)["m"].tolist() == [1, -2]
-
-
-def test_points_repeat_with_seeds():
-    assert points(Repeated({"n": [1, 2]}, 2, first=3)) == [(1, 3), (1, 4), (2, 3), (2, 4)]
 
 
 @pytest.mark.parametrize("kind", [Random, LatinHypercube, Sobol])
@@ -54,24 +49,12 @@ def test_a_sobol_sequence_is_extended_and_no_point_runs_twice():
     (lambda: Grid({"n": itertools.count()}), TypeError, "no end"),
     (lambda: Grid({"n": (k for k in range(3))}), TypeError, "length is known"),
     (lambda: Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
-    (lambda: Zip({"n": [1, 2], "m": [1]}), ValueError, "one length"),
-    (lambda: Zip({"n": [1, 1]}), ValueError, "points 0 and 1 are the same"),
+    (lambda: Points([{"n": 1}, {"n": 1}]), ValueError, "points 0 and 1 are the same"),
     (lambda: Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
     (lambda: Points([]), TypeError, "list of mappings"),
-    (lambda: Repeated({"seed": [1]}, 2), ValueError, "must not be a parameter"),
     (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "must go up"),
     (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
     (lambda: Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite")])
 def test_wrong_designs_are_refused_before_memory_is(make, error, match):
     with pytest.raises(error, match=match):
         make()
-
-
-def test_a_study_is_opened_by_its_store_and_fixed_parameters(tmp_path):
-    path = tmp_path / "s.sqlite"
-    Study(run, {"n": [1, 2]}, path, fixed={"law": "a"}).run(progress=False)
-    Study(run, {"n": [7]}, path, fixed={"law": "b"}).run(progress=False)
-    study = Study(run, store=path, fixed={"law": "a"})
-    assert study.table()["n"].tolist() == [1, 2]
-    with pytest.raises(ValueError, match="no points"):
-        Study(run, store=path, name="other")
