@@ -22,6 +22,8 @@ import numpy as np
 import pandas as pd
 from common import Output, chain, cpu, drawing, main, processor_time, warm_up
 from linear_rivals import glued, iterate, iterations_needed, pyamg_preconditioner
+from plain_newton import plain_newton
+from threadpoolctl import threadpool_limits
 
 import adaptmg as am
 
@@ -71,7 +73,8 @@ def meshing(case: str, levels: int) -> dict:
 
 
 def small(divisions: int) -> dict:
-    """Milliseconds of solves in a friction sweep on the same meshes, hierarchy counted; the active set over ours."""
+    """Milliseconds of solves in a friction sweep on the same meshes, hierarchy counted; the active set over ours, and
+    over a plain script that gets the matrix and checks nothing (:mod:`plain_newton`)."""
     warm_up()
     grids, frictions = bar(divisions), np.linspace(0.1, 1.0, 10)
 
@@ -82,12 +85,17 @@ def small(divisions: int) -> dict:
     def peer(rtol: float) -> float:
         return cpu(lambda: am.solve(grids, am.FullMultigrid(rtol=rtol)), 20)
 
+    @threadpool_limits.wrap(limits=1)
+    def plain() -> np.ndarray:
+        return plain_newton(grids.finest.discrete, friction=1.0)
+
     sweep()
-    am.solve(grids, am.ActiveSet(rtol=1e-8))
-    ours = peer(1e-8)
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-8)).displacement
+    np.testing.assert_allclose(plain(), exact, rtol=0, atol=1e-6 * np.abs(exact).max())
+    ours, active_set = peer(1e-8), cpu(lambda: am.solve(grids, am.ActiveSet(rtol=1e-8)), 20)
     return {"nodes": grids.finest.n_nodes, "sweep_ms": 1e3 * cpu(sweep) / len(frictions), "ours_ms": 1e3 * ours,
             "loose over tight": peer(1e-2) / ours,
-            "active set over ours": cpu(lambda: am.solve(grids, am.ActiveSet(rtol=1e-8)), 20) / ours}
+            "active set over ours": active_set / ours, "active set over plain": active_set / cpu(plain, 20)}
 
 
 def large(dim: int, divisions: int) -> dict:
@@ -100,7 +108,8 @@ def large(dim: int, divisions: int) -> dict:
         built = time.process_time()
         result = am.solve(grids, am.FullMultigrid())
         whole, solve = min(whole, time.process_time() - begin), min(solve, time.process_time() - built)
-    matrix = grids.finest.matrix
+    checked, matrix = result.timings["certificate"], grids.finest.matrix
+    checked /= sum(grids.timings.values()) + result.seconds
     one_pass = (matrix.data.nbytes + matrix.indices.nbytes) / triad()
     problem = glued(grids)
     build = partial(pyamg_preconditioner, problem)
@@ -110,7 +119,7 @@ def large(dim: int, divisions: int) -> dict:
     am.solve(bar(divisions, dim=dim), am.FullMultigrid())
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    return {"nodes": grids.finest.n_nodes, "work": result.work_units, "cycles": result.cycles,
+    return {"nodes": grids.finest.n_nodes, "work": result.work_units, "cycles": result.cycles, "checked": checked,
             "passes": whole / one_pass, "solve passes": solve / one_pass, "bytes": most / result.displacement.size,
             "over pyamg": whole / rival, "solve over pyamg": solve / rival}
 
@@ -150,12 +159,14 @@ def rows_of(out: Output) -> list[tuple[str, float, str]]:
         name = f"bar of {row['nodes']} nodes"
         rows += [(f"{name}: a solve in a friction sweep", row["sweep_ms"], "ms"),
                  (f"{name}: seconds of the active set over ours", row["active set over ours"], ""),
+                 (f"{name}: seconds of the active set over a plain script", row["active set over plain"], ""),
                  (f"{name}: seconds to 1e-2 over those to 1e-8", row["loose over tight"], "")]
     sizes = [(2, 64), (3, 8)] if quick else [(2, 256), (2, 512), (3, 32)] + [(2, 1024), (3, 64)] * out.full
     for row in study(large, [{"dim": dim, "divisions": n} for dim, n in sizes]):
         name = f"{row['dim']}D, {row['nodes']} nodes"
         rows += [(f"{name}: work", row["work"], "WU"), (f"{name}: problem to solution", row["passes"], "passes"),
                  (f"{name}: am.solve alone", row["solve passes"], "passes"),
+                 (f"{name}: certificate over hierarchy and solve (wall)", row["checked"], ""),
                  (f"{name}: memory from problem to solution", row["bytes"], "B/dof"),
                  (f"{name}: am.solve over a linear solve by pyamg", row["solve over pyamg"], ""),
                  (f"{name}: problem to solution over pyamg", row["over pyamg"], "")]
