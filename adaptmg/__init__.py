@@ -2,7 +2,7 @@
 
 ``import adaptmg as am``; names are loaded when first used, so that importing stays fast. SI units throughout.
 
-Problem     ContactProblem; Contact or ContactPair (obstacles Plane, GapFunction, Moving, Rigid); Support, Symmetry,
+Problem     ContactProblem; Contact, ContactPair, Tied (obstacles Plane, GapFunction, Moving, Rigid); Support, Symmetry,
             Spring, PointSupport, PointSpring; Pressure, Traction, BodyForce, InitialStrain, Preload; Frictionless,
             Coulomb, Tresca; LoadPath
 Material    PlaneStrain, PlaneStress, Axisymmetric, Solid

@@ -34,7 +34,7 @@ from .problem import (
     Plane as Plane, PlaneStrain as PlaneStrain, PlaneStress as PlaneStress, PointSpring as PointSpring,
     PointSupport as PointSupport, Polygon as Polygon, Preload as Preload, Pressure as Pressure,
     Rectangle as Rectangle, Revolution as Revolution, Rigid as Rigid, Solid as Solid, Spring as Spring,
-    StepFile as StepFile, Support as Support, Symmetry as Symmetry, Traction as Traction, Tresca as Tresca
+    StepFile as StepFile, Support as Support, Symmetry as Symmetry, Tied as Tied, Traction as Traction, Tresca as Tresca
 )
 from .smoother.gauss_seidel import ProjectedGaussSeidel as ProjectedGaussSeidel
 from .smoother.system import OPEN as OPEN, SLIP as SLIP, STICK as STICK

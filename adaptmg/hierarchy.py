@@ -32,7 +32,7 @@ from adaptmg.level import (
 )
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.netgen_guard import MAX_NODES
-from adaptmg.problem import Assembly, Box, ContactPair, ContactProblem, Rectangle
+from adaptmg.problem import Assembly, Box, Contact, ContactProblem, Rectangle
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
@@ -347,7 +347,7 @@ class Hierarchy:
             raise ValueError(f"problem has another domain, {checks.shown(other)}, than these meshes, "
                              f"{checks.shown(domain)}: mesh it with Hierarchy.graded or uniform")
         problem = with_sides(problem, self.finest.mesh)
-        own, asked = ((*one.contact_boundaries, *one.masters) for one in (self.problem, problem))
+        own, asked = ((*one.contact_boundaries, *one.masters, *one.tied_boundaries) for one in (self.problem, problem))
         if own != asked and _exchanged(self.problem) == _exchanged(problem):
             meshes = [level.mesh for level in self.levels]
             return replace(self.from_meshes(problem, meshes, self.transfer, self.contact_rows), origin=self.origin)
@@ -476,7 +476,8 @@ def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     of_element = cast(np.ndarray, mesh.element_body)
     body[mesh.elements] = of_element[:, None]
     of = {name: set(body[mesh.boundary_nodes(name)].tolist()) for name in mesh.boundaries}
-    paired = {frozenset(ends) for pair in cast(tuple, problem.contact) if isinstance(pair, ContactPair)
+    pairs = [one for one in cast(tuple, (*problem.contact, *problem.ties)) if not isinstance(one, Contact)]
+    paired = {frozenset(ends) for pair in pairs
               for ends in product(of.get(pair.slave, ()), of.get(pair.master, ()))}
     apart = [ends for ends in combinations(np.unique(of_element).tolist(), 2) if frozenset(ends) not in paired]
     return [f"the bodies {mesh.bodies[a]!r} and {mesh.bodies[b]!r} lie in each other, at {x.round(9).tolist()} among "

@@ -94,7 +94,7 @@ class ContactNodes:
         names, masters = self._names()
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
         boundary = check_arrays.array("boundary", boundary, (n,), integer=True)
-        if boundary.min(initial=0) < 0 or boundary.max(initial=0) >= len(names):
+        if boundary.min(initial=0) < 0 or boundary.max(initial=-1) >= len(names):
             wrong = boundary.min() if boundary.min() < 0 else boundary.max()
             raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")
         for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
@@ -105,7 +105,7 @@ class ContactNodes:
     def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Names of the contact boundaries and of what they may touch, checked."""
         names = checks.strings("names", self.names)
-        if not names:
+        if not names and len(self.nodes):
             raise ValueError("names is empty: give one name at least")
         masters = ("",) * len(names)
         if self.masters is not None:

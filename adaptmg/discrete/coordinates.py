@@ -140,6 +140,12 @@ class Unknowns:
     fixed: np.ndarray
     fixed_values: np.ndarray
     inclined: Inclined | None
+    ties: tuple[tuple[str, str, np.ndarray], ...]
+
+    @property
+    def held(self) -> np.ndarray:
+        """The dofs (n_dofs,) bool that supports prescribe: the fixed ones but the relative displacements of ties."""
+        return self.fixed if self.coupling is None else self.coupling.fixed
 
     @property
     def dim(self) -> int:
@@ -199,7 +205,7 @@ class Unknowns:
         Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component."""
         if self.coupling is None:
             return []
-        rows, fixed, result = self.coupling.weights[self.contact.nodes], self.fixed.reshape(-1, self.dim), []
+        rows, fixed, result = self.coupling.weights[self.contact.nodes], self.held.reshape(-1, self.dim), []
         for c in range(self.dim):
             held = np.flatnonzero(fixed[self.contact.nodes, c])
             weights = sparse.csr_array(facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float)))

@@ -23,7 +23,7 @@ Load steps have nodal loads and prescribed displacements by name, so that every 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -48,6 +48,7 @@ from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.sides import with_sides
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import fixed_dofs, held_directions, inclined_supports, supported_nodes
+from adaptmg.discrete.ties import tie_interfaces
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem
@@ -96,7 +97,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     _check_held(problem, mesh, bodies)
     fixed, values = fixed_dofs(mesh, problem.supports)
     held = HeldNodes(fixed.reshape(-1, mesh.dim), inclined_supports(mesh, problem.supports))
-    contact, weights = _contact(problem, mesh, slip_reference, held)
+    ties = tie_interfaces(problem.ties, mesh, held, problem.axisymmetric)
+    contact, weights = _contact(problem, mesh, slip_reference, held, ties)
     Stops.of(problem, mesh, held).check(values, {})
     materials = body_materials(mesh, problem.material)
     parts = {"matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
@@ -104,6 +106,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": _nodal_law(problem, mesh, contact),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)), "inclined": held.inclined,
+             "ties": tuple((tie.slave, tie.master, part.nodes)
+                           for tie, part in zip(problem.ties, ties, strict=True)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if problem.elements == "smoothed":
         parts["volumes"] = volume_groups(mesh, materials)
@@ -152,7 +156,7 @@ def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[
     """Names of the parts but laws that may have other values than ``before``; functions may return others."""
     surfaces = [tuple(replace(one, law=None) for one in posed.contact) for posed in (problem, before)]
     return frozenset({"contact"} if not same(*surfaces) else ()) | frozenset(
-        name for name in ("material", "supports", "loads", "elements")
+        name for name in ("material", "supports", "loads", "elements", "ties")
         if not same(getattr(problem, name), getattr(before, name)))
 
 
@@ -210,12 +214,13 @@ def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) ->
     return motions
 
 
-def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, held: HeldNodes
-             ) -> tuple[ContactNodes, sparse.csr_array | None]:
+def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, held: HeldNodes,
+             ties: Sequence[MortarInterface]) -> tuple[ContactNodes, sparse.csr_array | None]:
     """Contact nodes and what they face; without slave nodes that should be exchanged for others and cannot."""
     excluded = np.empty(0, dtype=np.int64)
     while True:
-        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded, held=held)
+        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded, held=held,
+                                        ties=ties)
         if weights is None:
             return contact, None
         law = _nodal_law(problem, mesh, contact)
@@ -240,7 +245,7 @@ def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
 
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
     """Raise ValueError if a body has neither a support nor a surface in contact."""
-    held = np.concatenate([*(mesh.surface(name).nodes for name in problem.pair_boundaries),
+    held = np.concatenate([*(mesh.surface(name).nodes for name in (*problem.pair_boundaries, *problem.tied_boundaries)),
                            *(supported_nodes(mesh, support) for support in problem.supports)])
     for name, nodes in bodies.items():
         if not (np.searchsorted(nodes, held) < np.searchsorted(nodes, held, "right")).any():
@@ -252,17 +257,22 @@ _ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, 
 
 
 def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
-                 excluded: np.ndarray | None = None, held: HeldNodes | None = None
+                 excluded: np.ndarray | None = None, held: HeldNodes | None = None,
+                 ties: Sequence[MortarInterface] = ()
                  ) -> tuple[ContactNodes, sparse.csr_array | None]:
     """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow. ``excluded``
-    slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m."""
+    slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m. Nodes of ``ties`` carry no
+    contact."""
     owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
     surfaces = [mesh.surface(name) for name in problem.contact_boundaries]
     for k in reversed(range(len(surfaces))):
         owner[surfaces[k].nodes] = k
+    for tie in ties:
+        owner[tie.nodes] = -1
     if held is None:
         held = HeldNodes(fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim),
                          inclined_supports(mesh, problem.supports))
+    nothing = np.empty(0, dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0)
     parts = []
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
@@ -276,6 +286,7 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
                                         axisymmetric=problem.axisymmetric))
         else:
             parts.append(_in_front_of(contact, problem, mesh, surfaces, owner, k, held))
+    parts.append(MortarInterface(*nothing))
     boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
     nodes = np.concatenate([part.nodes for part in parts])
     order = np.argsort(nodes)
@@ -283,8 +294,7 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     normals, weights, gaps = (np.concatenate([getattr(part, name) for part in parts])[order]
                               for name in ("normals", "weights", "gaps"))
     if held.inclined is not None:
-        rubbed = np.intersect1d(nodes, held.inclined.nodes[sum(held.inclined.moved.values(), 0.0 * held.inclined.spans[
-            :, 0]).any(axis=1)])
+        rubbed = np.intersect1d(nodes, held.inclined.nodes[held.inclined.moving])
         if len(rubbed):
             raise ValueError(f"a support moves contact node {rubbed[0]} {tuple(mesh.points[rubbed[0]].tolist())} along "
                              "the normal of its boundary, which is no axis: turn the geometry, or end one of the "
@@ -296,7 +306,7 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
                            slip_reference=slip_reference,
                            allow_interference=any(map(_may_overlap, problem.contact)),
                            names=problem.contact_boundaries, masters=problem.masters)
-    return contact, _followed(parts, mesh.n_nodes)
+    return contact, _followed([*parts, *ties], mesh.n_nodes)
 
 
 def _may_overlap(contact: Contact | ContactPair) -> bool:
@@ -546,7 +556,7 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
         prescribed[name] = dofs, values[dofs]
     return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed,
                      StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh,
-                     Stops.of(problem, mesh, HeldNodes(discrete.fixed.reshape(-1, mesh.dim), discrete.inclined)))
+                     Stops.of(problem, mesh, HeldNodes(discrete.held.reshape(-1, mesh.dim), discrete.inclined)))
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:

@@ -37,6 +37,11 @@ class Inclined:
         """The displacement (k, dim) that supports prescribe in a load step, m."""
         return sum((factors.get(name, 1.0) * part for name, part in self.moved.items()), np.zeros(self.spans.shape[:2]))
 
+    @property
+    def moving(self) -> np.ndarray:
+        """Which of the nodes (k,) bool supports move."""
+        return sum((part.any(axis=1) for part in self.moved.values()), np.zeros(len(self.nodes), dtype=bool)) > 0
+
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Vectors (n, dim) at some nodes without their parts along the directions that are held."""
         at = np.minimum(np.searchsorted(self.nodes, nodes), len(self.nodes) - 1)

@@ -27,7 +27,7 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
     """
     if not now:
         return discrete
-    held = HeldNodes(discrete.fixed.reshape(mesh.points.shape), discrete.inclined)
+    held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
     contact, exchange = discrete.contact, discrete.exchange
     normals, gaps, reference = contact.normals.copy(), contact.gaps.copy(), contact.slip_reference.copy()
     for k, obstacle in now.items():

@@ -79,6 +79,9 @@ class DiscreteProblem(Unknowns):
     inclined : Inclined, optional
         Supports along directions that are no axes, which are eliminated from matrix and load
         (:mod:`adaptmg.discrete.inclined`).
+    ties : tuple of (str, str, (n,) int array)
+        Slave and master boundary, and slave nodes whose relative displacement is fixed to zero
+        (:mod:`adaptmg.discrete.ties`).
     exchange : Exchange, optional
         Contact as it was posed where slave and master were exchanged at single nodes
         (:mod:`adaptmg.discrete.exchange`).
@@ -111,6 +114,7 @@ class DiscreteProblem(Unknowns):
     exchange: Exchange | None = None
     strain_free: tuple[np.ndarray, float] | None = None
     inclined: Inclined | None = None
+    ties: tuple[tuple[str, str, np.ndarray], ...] = ()
     volumes: Volumes | None = None
 
     if TYPE_CHECKING:
@@ -272,7 +276,7 @@ class DiscreteProblem(Unknowns):
             check_arrays.sparse_matrix("volumes.rows", self.volumes.rows, (len(self.volumes), n))
         if self.coupling is not None:
             checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
-        if self.coupling is not None and not np.array_equal(self.coupling.fixed, fixed):
+        if self.coupling is not None and (self.coupling.fixed & ~fixed).any():
             raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
         self._check_fixed_at_contact()
         self._complete()
@@ -333,6 +337,11 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     volumes = parts.get("volumes")
     if volumes is not None:
         volumes = volumes.with_rows(coupling.relative_rows(volumes.rows))
+    if parts.get("ties"):
+        tied = parts["fixed"].copy().reshape(weights.shape[0], -1)
+        for *_, nodes in parts["ties"]:
+            tied[nodes] = True
+        parts = parts | {"fixed": tied.reshape(-1)}
     return parts | {"matrix": coupling.transformed(parts["matrix"]), "load": load, "law": law, "contact": contact,
                     "near_nullspace": modes, "coupling": coupling, "exchange": exchange, "strain_free": strain_free,
                     "volumes": volumes}

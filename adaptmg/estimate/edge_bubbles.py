@@ -19,6 +19,7 @@ faces in 3D (cubic) would miss most of the error.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -70,6 +71,11 @@ class EdgeBubbles:
         n, ends = self.mesh.n_nodes, np.sort(facets[:, _OF_FACET[self.mesh.dim]], axis=2).astype(np.int64)
         keys = self.edges[:, 0].astype(np.int64) * n + self.edges[:, 1]
         return np.searchsorted(keys, ends[..., 0] * n + ends[..., 1])
+
+    def of_boundaries(self, names: Sequence[str]) -> np.ndarray:
+        """Return the edges (n,) on some boundaries, each once."""
+        return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(
+            self.of_facets(self.mesh.boundary_facets(name)).ravel() for name in names)]))
 
     def values_at(self, weights: np.ndarray) -> np.ndarray:
         """Return values (k,) of the bubbles of an element at a point with these barycentric weights (dim + 1,)."""
@@ -271,8 +277,7 @@ def bubble_spaces(bubbles: EdgeBubbles, contact: LinearisedContact) -> BubbleSpa
     test = trial.copy()
     place = np.full(mesh.n_nodes, -1)
     place[contact.nodes] = np.arange(len(contact.nodes))
-    surface = np.unique(np.concatenate([bubbles.of_facets(mesh.boundary_facets(name)).ravel()
-                                        for name in problem.contact_boundaries if name]))
+    surface = bubbles.of_boundaries(problem.contact_boundaries if len(contact.nodes) else ())
     ends = place[bubbles.edges[surface]]
     # an end without a contact condition follows the other one
     a, b = np.where(ends[:, 0] < 0, ends[:, 1], ends[:, 0]), np.where(ends[:, 1] < 0, ends[:, 0], ends[:, 1])
@@ -289,6 +294,9 @@ def bubble_spaces(bubbles: EdgeBubbles, contact: LinearisedContact) -> BubbleSpa
     trial[surface], test[surface] = 0.0, 0.0
     trial[surface, :, 1:] = tangents.transpose(0, 2, 1)
     test[surface, :, 1:] = (tangents + share[:, :, None] * normal[:, None, :]).transpose(0, 2, 1)
+    # slaves of ties follow their masters
+    tied = bubbles.of_boundaries([tie.slave for tie in problem.ties])
+    trial[tied], test[tied] = 0.0, 0.0
     for name, directions in held_directions(mesh, problem.supports).items():
         edges = np.unique(bubbles.of_facets(mesh.boundary_facets(name)))
         # with columns along and across what is held, where no contact has chosen others

@@ -287,7 +287,8 @@ def _master_work(view: GoalView, reaction: np.ndarray) -> np.ndarray:
         return result
     # at fixed dofs they are reactions of supports
     forces = np.where(discrete.fixed, 0.0, discrete.physical_forces(reaction)).reshape(-1, mesh.dim)
-    for name in dict.fromkeys(filter(None, view.posed.problem.masters)):
+    problem = view.posed.problem
+    for name in dict.fromkeys([*filter(None, problem.masters), *(tie.master for tie in problem.ties)]):
         surface = mesh.surface(name)
         mass = surface.lumped(view.bubbles.axisymmetric)
         traction = np.divide(forces, mass[:, None], out=np.zeros_like(forces), where=mass[:, None] > 0)

@@ -147,7 +147,9 @@ def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
     forces[contact.node] = contact.force
     np.add.at(forces, contact.master_node, contact.master_force)
     # a support bears what contact does not, whatever both exert at one node
-    forces = np.where(discrete.fixed.reshape(forces.shape), result.reaction, forces)
+    if result.ties is not None:
+        forces += result.ties.total(len(forces))
+    forces = np.where(discrete.held.reshape(forces.shape), result.reaction, forces)
     if discrete.inclined is not None:
         borne = discrete.inclined.free_part(np.arange(len(forces)), result.reaction - forces)
         forces += result.reaction - forces - borne

@@ -77,7 +77,7 @@ class Residual:
 def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     """Return squares (n_elements,) on boundaries without and on those with contact, N m."""
     mesh, stress, near = this.mesh, this.stress, this.neighbours
-    touching = contact_tractions(mesh, this.result.contact, stress.axisymmetric)
+    touching = contact_tractions(mesh, this.result, stress.axisymmetric)
     plain, contact = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
     supports = held_directions(mesh, this.problem.supports)
     for k, name in enumerate(mesh.boundaries):

@@ -256,11 +256,32 @@ class SurfaceTraction:
         return self.values[np.searchsorted(self.nodes, self.facets)]
 
 
-def contact_tractions(mesh: MeshArrays, contact: ContactResult, axisymmetric: bool) -> Mapping[str, SurfaceTraction]:
-    """Return contact tractions on all boundaries that may touch something, masters too, by name."""
+def contact_tractions(mesh: MeshArrays, result: Result, axisymmetric: bool) -> Mapping[str, SurfaceTraction]:
+    """Return tractions of contact and ties on all boundaries that touch something, masters too, by name."""
+    contact, ties = result.contact, result.ties
     on_slave = contact.on_slaves(mesh)
-    return {name: _on_surface(mesh, contact, name, on_slave, axisymmetric)
-            for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])}
+    found = {name: _on_surface(mesh, contact, name, on_slave, axisymmetric)
+             for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])}
+    for k, name in enumerate(() if ties is None else ties.names):
+        surface, own = mesh.surface(name), ties.boundary == k
+        mass = surface.lumped(axisymmetric)[surface.nodes, None]
+        values = np.zeros((len(surface.nodes), mesh.dim))
+        values[np.searchsorted(surface.nodes, ties.node[own])] = ties.force[own]
+        values = np.divide(values, mass, out=np.zeros_like(values), where=mass > 0)
+        if k % 2 == 0:  # slave nodes that are not tied have the traction of their neighbours
+            _fill(surface, np.isin(surface.nodes, ties.node[own]), values)
+        before = found[name].values if name in found else 0.0
+        found[name] = SurfaceTraction(surface.facets, surface.nodes, before + values)
+    return found
+
+
+def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
+    """Fill ``values`` in at other nodes with the mean of their neighbours'."""
+    place = np.searchsorted(surface.nodes, surface.facets)
+    for i in np.flatnonzero(~filled):
+        near = np.unique(place[(place == i).any(axis=1)])
+        if filled[near].any():
+            values[i] = values[near[filled[near]]].mean(axis=0)
 
 
 def _on_surface(mesh: MeshArrays, contact: ContactResult, name: str, on_slave: np.ndarray, axisymmetric: bool

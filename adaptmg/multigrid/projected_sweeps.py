@@ -229,7 +229,7 @@ class Interface:
     #: one layer does nearly as well, more than two gain nothing
     LAYERS = 2
 
-    def __init__(self, level: SplitMatrix, coupling: Coupling) -> None:
+    def __init__(self, level: SplitMatrix, coupling: Coupling, fixed: np.ndarray) -> None:
         n, dim = level.n_nodes, level.dim
         ones = np.ones(len(level.lower_indices))
         # row by row of the nodes
@@ -249,27 +249,27 @@ class Interface:
         blocks = level.lower.reshape(-1, dim, dim)[np.abs(rows.data) - 1]
         self.blocks = np.where((rows.data < 0)[:, None, None], blocks.transpose(0, 2, 1), blocks).reshape(-1)
         self.diagonal = level.diagonal.reshape(-1, dim * dim)[self.nodes].reshape(-1)
-        self._follow(coupling, place)
+        self._follow(coupling, place, fixed)
         self.alone = np.zeros_like(self.diagonal)
         _alone_blocks(dim, self.nodes, self.indptr, self.indices, self.blocks, self.diagonal, self.follow_indptr,
                       self.followers, self.follow_weights, self.alone)
         # fixed components stay where they are, though followers pull at them
-        free = ~coupling.fixed.reshape(-1, dim)[self.nodes]
+        free = ~fixed.reshape(-1, dim)[self.nodes]
         blocks = self.alone.reshape(-1, dim, dim) * (free[:, :, None] & free[:, None, :])
         self.alone = np.linalg.pinv(blocks, hermitian=True).reshape(-1)
         self.forward = np.arange(len(self.nodes), dtype=np.int32)
         self.backward = self.forward[::-1].copy()
         self.nonzeros = len(self.blocks) + len(self.diagonal)
 
-    def _follow(self, coupling: Coupling, place: np.ndarray) -> None:
-        """The followers of each node; nodes that follow others have none."""
+    def _follow(self, coupling: Coupling, place: np.ndarray, fixed: np.ndarray) -> None:
+        """The followers of each node that can stay where they are; nodes that follow others have none."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
         itself = np.diff(coupling.weights.indptr)[self.nodes] > 0
         kept = ~np.repeat(itself, np.diff(by_master.indptr))
         self.follow_indptr = np.concatenate([[0], np.cumsum(kept)])[by_master.indptr].astype(np.int32)
         slaves = by_master.indices[kept]
         self.followers = place[slaves]
-        free = ~coupling.fixed.reshape(-1, coupling.dim)[slaves]
+        free = ~fixed.reshape(-1, coupling.dim)[slaves]
         self.follow_weights = (by_master.data[kept, None] * free).reshape(-1)
 
     @property

@@ -266,6 +266,8 @@ def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
     """Boundary, colour and text of supports and contacts; later ones are painted over earlier ones."""
     uses = [(support.place, _SUPPORT, support_text(support, posed.dim, "rz" if posed.axisymmetric else "xyz"))
             for support in posed.supports]
+    for tie in posed.ties:
+        uses += [(tie.slave, _CONTACT, "tie"), (tie.master, _MASTER, "  its master")]
     for contact in posed.contact:
         uses.append((contact.boundary, _CONTACT, "contact" if contact.law is None else _law_text(contact.law)))
         if isinstance(contact, ContactPair):

@@ -31,13 +31,13 @@ from adaptmg.problem.solid_domains import (
     Revolution,
     StepFile,
 )
-from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane
+from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane, Tied
 
 __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact", "ContactPair",
            "ContactProblem", "Coulomb", "Cracked", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless",
            "Fuse", "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Moving", "Outline", "Plane",
            "PlaneStrain", "PlaneStress", "PointSpring", "PointSupport", "Polygon", "Preload", "Pressure", "Rectangle",
-           "Revolution", "Rigid", "Solid", "Spring", "StepFile", "Support", "Symmetry", "Traction", "Tresca",
+           "Revolution", "Rigid", "Solid", "Spring", "StepFile", "Support", "Symmetry", "Tied", "Traction", "Tresca",
            "step_problem"]
 
 

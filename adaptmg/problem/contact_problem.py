@@ -8,12 +8,12 @@ from typing import Any, get_args
 
 from adaptmg import _checks as checks
 from adaptmg._text import brief, html_fields
-from adaptmg.problem.laws import Law, check_law
+from adaptmg.problem.laws import Frictionless, Law, check_law
 from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Preload, Pressure, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStress
 from adaptmg.problem.moving import Moving, Obstacle, Rigid
 from adaptmg.problem.plane_domains import Domain
-from adaptmg.problem.surfaces import ContactPair, Plane
+from adaptmg.problem.surfaces import ContactPair, Plane, Tied
 
 CONTACT = "contact"  # name of all contact boundaries together
 _MOST_STIFFER = 1e15  # between the Young's moduli of two bodies
@@ -71,6 +71,8 @@ class ContactProblem:
     contact : Contact, ContactPair or sequence of them
     law : Frictionless, Tresca, Coulomb or user-defined
         On all contact boundaries that have no law of their own; its parameters may vary in space.
+    ties : Tied or sequence of Tied
+        Boundaries that move together.
     loads : sequence of Pressure, Traction, BodyForce, InitialStrain, Preload
     supports : sequence of Support, Symmetry, PointSupport, Spring, PointSpring
     domain : Domain, optional
@@ -99,8 +101,9 @@ class ContactProblem:
     """
 
     material: Elastic | Mapping[str, Elastic]
-    contact: Contact | ContactPair | tuple[Contact | ContactPair, ...]
-    law: Law
+    contact: Contact | ContactPair | tuple[Contact | ContactPair, ...] = ()
+    law: Law | Any = None  # Any: it is None only while the problem is made
+    ties: Tied | tuple[Tied, ...] = ()
     loads: tuple[Load, ...] = ()
     supports: tuple[AnySupport, ...] = ()
     domain: Domain | Any = None  # Any: only problems without a domain need the test for None
@@ -114,8 +117,11 @@ class ContactProblem:
         if not isinstance(self.material, Elastic):
             object.__setattr__(self, "material", _materials(self.material))
         checks.convert(self, checks.items, "contact", types=(Contact, ContactPair))
-        if not self.contact:
-            raise ValueError("contact is empty: a contact problem needs a Contact or a ContactPair")
+        checks.convert(self, checks.items, "ties", types=Tied)
+        if not self.contact and not self.ties:
+            raise ValueError("contact is empty: a contact problem needs a Contact, a ContactPair or, in ties, a Tied")
+        if self.law is None and all(one.law is not None for one in self.contact):
+            object.__setattr__(self, "law", Frictionless())
         check_law(self.law)
         checks.convert(self, checks.items, "loads", types=_LOADS)
         checks.convert(self, checks.items, "supports", types=get_args(AnySupport))
@@ -137,6 +143,7 @@ class ContactProblem:
                 raise ValueError(f"{checks.shown(support)} is at a point with {len(support.point)} components in a "
                                  f"{self.dim}D problem")
         _check_contact(self.contact, self.dim)
+        _check_ties(self.ties, self.contact_boundaries)
         self._check_name_contact()
         if self.domain is not None:
             self._check_domain(self.domain)
@@ -168,7 +175,7 @@ class ContactProblem:
                              f"{', '.join(map(repr, self.contact_boundaries))}: rename it")
 
     def _uses(self) -> dict[str, str]:
-        used = dict.fromkeys(self.pair_boundaries, "contact")
+        used = dict.fromkeys(self.tied_boundaries, "a tie") | dict.fromkeys(self.pair_boundaries, "contact")
         used |= {load.boundary: "a load" for load in self.loads if isinstance(load, Pressure | Traction)}
         return used | {support.boundary: "a support" for support in self.supports if support.boundary is not None}
 
@@ -220,6 +227,11 @@ class ContactProblem:
         return tuple(dict.fromkeys(name for pair in zip(self.contact_boundaries, self.masters, strict=True)
                                    for name in pair if name))
 
+    @property
+    def tied_boundaries(self) -> tuple[str, ...]:
+        """Distinct names of all tied boundaries."""
+        return tuple(dict.fromkeys(name for tie in self.ties for name in (tie.slave, tie.master)))
+
     def check_boundaries(self, known: tuple[str, ...]) -> None:
         """Raise ValueError unless every boundary named by the problem is one of ``known``."""
         for boundary, use in self._uses().items():
@@ -256,6 +268,17 @@ def _materials(material: object) -> dict[str, Elastic]:
                          f"{material[stiff].young:g} ({stiff!r}) and {material[soft].young:g} ({soft!r}): use "
                          "am.Contact for a rigid body")
     return dict(material)
+
+
+def _check_ties(ties: tuple[Tied, ...], contact_boundaries: tuple[str, ...]) -> None:
+    slaves = [tie.slave for tie in ties]
+    for tie in ties:
+        if slaves.count(tie.slave) > 1 or tie.slave in contact_boundaries:
+            raise ValueError(f"boundary {tie.slave!r} is named twice as slave of ties and contacts: swap slave and "
+                             "master of one, or cut the boundary in two")
+        if tie.master in slaves:
+            raise ValueError(f"boundary {tie.master!r} is the master of {tie.slave!r} and slave of another tie: swap "
+                             "slave and master in one of the ties, or cut the boundary in two")
 
 
 def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int) -> None:

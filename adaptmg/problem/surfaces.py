@@ -99,6 +99,46 @@ class GapFunction:
 
 
 @dataclass(frozen=True, eq=False)
+class Tied:
+    """Two boundaries, of two bodies or of one, that move together: glued, welded, screwed.
+
+    Their meshes need not match. Surfaces that lie on each other pass constant stresses exactly.
+
+    Parameters
+    ----------
+    slave : str
+        The boundary whose nodes follow the other one: rather that of the softer body, and the finer one.
+    master : str
+        The boundary they follow.
+    reach : float, optional
+        Largest distance of the surfaces, m, > 0; by default it follows from the meshes.
+
+    Examples
+    --------
+    >>> am.Tied("nut.thread", "bolt.thread").master
+    'bolt.thread'
+    """
+
+    slave: str
+    master: str
+    _: KW_ONLY
+    reach: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_two_sides(self.slave, self.master)
+        if self.reach is not None:
+            checks.convert(self, checks.quantity, "reach", positive=True)
+
+
+def _check_two_sides(slave: str, master: str) -> None:
+    checks.boundary_name("slave", slave)
+    checks.boundary_name("master", master)
+    if slave == master:
+        raise ValueError(f"slave and master are both {slave!r}: name two different boundaries; where a surface may "
+                         "touch itself, cut it into two boundaries")
+
+
+@dataclass(frozen=True, eq=False)
 class ContactPair:
     """Two boundaries, of two bodies or of one, that may touch each other.
 
@@ -145,11 +185,7 @@ class ContactPair:
 
     def __post_init__(self) -> None:
         check_law(self.law, none=True)
-        checks.boundary_name("slave", self.slave)
-        checks.boundary_name("master", self.master)
-        if self.slave == self.master:
-            raise ValueError(f"slave and master are both {self.slave!r}: name two different boundaries; where a "
-                             "surface may touch itself, cut it into two boundaries")
+        _check_two_sides(self.slave, self.master)
         checks.choice("sides", self.sides, ("given", "auto"))
         checks.choice("coupling", self.coupling, ("mortar", "nodes"))
         checks.flag("allow_interference", self.allow_interference)

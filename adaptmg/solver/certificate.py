@@ -204,7 +204,9 @@ class Evidence:
         self.limit = limit / np.abs(self.sigma)
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
-        self.unexplained = problem.physical_forces(-residual).reshape(shape)
+        # what holds ties is as large as it must be; its counterpart on masters is no violation
+        borne = -residual if not problem.ties else np.where(problem.fixed & ~problem.held, 0.0, -residual)
+        self.unexplained = problem.physical_forces(borne).reshape(shape)
         self.unexplained[self.nodes] -= self.claimed
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
         self.at_contact = self.unexplained[self.nodes]

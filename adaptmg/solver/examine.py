@@ -21,6 +21,7 @@ from scipy import sparse
 
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.ties import TieForces, tie_forces
 from adaptmg.smoother.residuals import natural_at_nodes, states
 from adaptmg.smoother.system import ContactState, NodalContact, contact_blocks, held_tangents, local_contact
 from adaptmg.solver.certificate import Certificate, certify
@@ -35,6 +36,7 @@ class Examined:
     displacement: np.ndarray  # (n_nodes, dim): of the bodies, m
     reaction: np.ndarray  # (n_nodes, dim): on the bodies, N
     contact: ContactResult
+    ties: TieForces | None
     residual: float  # natural, relative to the forces that act
     checked: Certificate
 
@@ -117,8 +119,9 @@ class Examiner:
         np.negative(residual, out=residual)
         if discrete.inclined is not None:
             residual += discrete.inclined.reaction(solved)
+        ties = tie_forces(discrete, residual)
         reaction = discrete.physical_forces(residual).reshape(nodal.shape)
-        found = Examined(displacement, reaction, contact, natural, checked)
+        found = Examined(displacement, reaction, contact, ties, natural, checked)
         self._last = solved, pressures, found
         return found
 

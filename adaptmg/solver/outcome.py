@@ -162,7 +162,7 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   timings=run.timings, path=run.path, levels=grids.table(ratios=False),
                   problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
                   choice=choice, mesh=mesh, start_work_units=run.start_work_units,
-                  versions=versions(), stress_data=stress_data, supports=supports, springs=springs,
+                  versions=versions(), stress_data=stress_data, supports=supports, springs=springs, ties=found.ties,
                   pressures=outcome.pressures)
 
 

@@ -21,6 +21,7 @@ from adaptmg.discrete.anisotropic import Moduli
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, as_tensors, von_mises
+from adaptmg.discrete.ties import TieForces
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, certify
@@ -91,6 +92,8 @@ class Result:
         The certificate of the solve.
     supports : dict of str to list of list of float
         By boundary the directions along which supports hold it; empty for a bare DiscreteProblem.
+    ties : TieForces or None
+        Nodal forces of ties on both bodies (``node``, ``force``, ``boundary``, ``names``); None without ties.
     springs : dict of str to list of float
         By boundary, or "point (0, 1)", the force (dim) that springs exert on the bodies, N, and its moment about the
         origin, N m.
@@ -134,6 +137,7 @@ class Result:
     stress_data: StressData | None = None
     checked: Certificate | None = None
     supports: dict[str, list[list[float]]] = field(default_factory=dict)
+    ties: TieForces | None = None
     fallback: str = ""
     choice: str = ""
     springs: dict[str, list[float]] = field(default_factory=dict)
@@ -393,10 +397,10 @@ class Result:
         """Return force, N, and moment, N m, on the body through a boundary; about a point (dim,), m, or the origin.
 
         ``boundary`` is 'contact' for all contact boundaries (of pairs the slaves), or one of them or a master (its
-        contact forces), or any other boundary (reactions of its supports and springs), or "point (0, 1)" of a
-        PointSpring. In 2D all is per metre. Forces on slave and master of a pair balance to rounding; their moments up
-        to the lever between the two discrete surfaces: 1e-8 to 1e-4 of force times size on curved ones, across whose
-        gap the mortar transmits each force without regard to its arm.
+        contact forces), or one of a tie, or any other boundary (reactions of its supports and springs), or "point
+        (0, 1)" of a PointSpring. In 2D all is per metre. Forces on slave and master of a pair balance to rounding;
+        their moments up to the lever between the two discrete surfaces: 1e-8 to 1e-4 of force times size on curved
+        ones, across whose gap the mortar transmits each force without regard to its arm.
         """
         mesh = self.mesh_or_none
         at_point = mesh is not None and boundary in self.springs and boundary not in mesh.boundaries
@@ -404,7 +408,8 @@ class Result:
         if mesh is None:
             return Resultant(forces.sum(axis=0), ABSENT)
         about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
-        touches = boundary in ("contact", *self.contact.names, *self.contact.masters)
+        tied = () if self.ties is None else self.ties.names
+        touches = boundary in ("contact", *self.contact.names, *self.contact.masters, *tied)
         of_springs = np.array(self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3)))
         force, turning = of_springs[:self.dim], of_springs[self.dim:]
         turning = turning - moment(about[None], force[None]) + moment(mesh.points[nodes] - about, forces)
@@ -416,17 +421,22 @@ class Result:
         c = self.contact
         slave = np.array([boundary in ("contact", name) for name in c.names])
         master = np.array([boundary == name != "" for name in c.masters])
+        if self.ties is not None and boundary in self.ties.names and boundary not in (*c.names, *c.masters):
+            return self.ties.on(boundary)
         if slave.any() or master.any():
             own = slave[c.boundary]
             on_slaves = c.on_slaves(self.mesh_or_none)
             others = np.where(on_slaves, slave[c.master_boundary], master[c.master_boundary])
-            return (np.concatenate([c.node[own], c.master_node[others]]),
-                    np.concatenate([c.force[own], c.master_force[others]]))
+            node, force = (np.empty(0, int), np.empty((0, self.dim))) if self.ties is None else self.ties.on(boundary)
+            return (np.concatenate([c.node[own], c.master_node[others], node]),
+                    np.concatenate([c.force[own], c.master_force[others], force]))
         if self.mesh_or_none is None:
             raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {c.names}")
         nodes, of_contact = self.mesh.boundary_nodes(boundary), np.zeros_like(self.reaction)
         of_contact[c.node] = c.force
         np.add.at(of_contact, c.master_node, c.master_force)
+        if self.ties is not None:
+            of_contact += self.ties.total(len(of_contact))
         return nodes, np.einsum("nij,nj->ni", self._share(boundary, nodes), (self.reaction - of_contact)[nodes])
 
     def _share(self, boundary: str, nodes: np.ndarray) -> np.ndarray:
@@ -457,7 +467,7 @@ Result.mesh = made_on_demand("mesh", "The finest mesh.", "this result has no mes
                              "DiscreteProblem): its .displacement and .contact need none")
 
 #: what the file of a result holds
-KINDS = (Result, ContactResult, MeshArrays, StressData, Moduli, Certificate, Condition, Status)
+KINDS = (Result, ContactResult, TieForces, MeshArrays, StressData, Moduli, Certificate, Condition, Status)
 
 
 @dataclass(frozen=True, eq=False)

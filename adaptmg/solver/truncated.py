@@ -362,7 +362,7 @@ class TruncatedRun:
             contact.start(unknowns)
             interface = None
             if problem.coupling is not None and parts.interface_sweeps:
-                interface = Interface(levels[number], problem.coupling)
+                interface = Interface(levels[number], problem.coupling, problem.fixed)
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()
             pressures = None if problem.volumes is None else VolumePressures(problem, self.pressures)

@@ -57,7 +57,7 @@ def test_exact_solutions_have_no_error_and_equal_tractions(options):
     for indicator in (am.Residual(), am.Recovery()):
         assert indicator.indicate(grids, result).relative < 1e-7
     if options is not None:
-        sides = stress_fields.contact_tractions(result.mesh, result.contact, False)
+        sides = stress_fields.contact_tractions(result.mesh, result, False)
         slave, master = (sides[name].values for name in problem.pair_boundaries)
         size = np.hypot(problem.reference["pressure"], problem.reference["traction"])
         for values in (slave, master):
@@ -89,7 +89,7 @@ def test_terms_sum_to_the_total_and_the_norm_is_of_displacements(solved, tmp_pat
 
 def test_signs_of_tractions(solved):
     result = solved[1]
-    sides = stress_fields.contact_tractions(result.mesh, result.contact, False)
+    sides = stress_fields.contact_tractions(result.mesh, result, False)
     bottom = sides["bottom"].values
     np.testing.assert_allclose(bottom, np.column_stack([result.contact.traction[:, 0], result.contact.pressure]),
                                rtol=1e-12, atol=1.0)  # of open nodes it has what the solver leaves

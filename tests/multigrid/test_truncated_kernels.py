@@ -292,7 +292,7 @@ class Swept:
         level = split(discrete.matrix, discrete.fixed)
         self.matrix = without_fixed(discrete.matrix, discrete.fixed)
         self.contact = TruncatedContact.of(discrete, level)
-        self.interface = Interface(level, discrete.coupling)
+        self.interface = Interface(level, discrete.coupling, discrete.fixed)
         self.inverse = level.inverse
         self.load = np.where(discrete.fixed, 0.0, discrete.load - discrete.matrix @ discrete.fixed_values)
         rng = np.random.default_rng(0)

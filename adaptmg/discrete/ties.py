@@ -1,0 +1,82 @@
+r"""Ties: surfaces of two bodies that move together, on meshes that need not match.
+
+A tied slave node follows the combination of master nodes that it faces, in all components: its relative displacement
+(:mod:`adaptmg.discrete.coordinates`) is fixed to zero, on every level. It is contact that sticks and never opens. Where
+surfaces lie on each other constant stresses pass exactly, and rigid motions strain nothing; across a gap g a rotation
+:math:`\omega` strains by :math:`\omega \times g`. What the slave bears at node j is the force
+:math:`\lambda_j = (\hat A w - \hat b)_j` of its relative displacement; the master bears :math:`-W^T \lambda`. Along
+what a support holds of a slave node the support takes its part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.discrete.coordinates import Unknowns
+from adaptmg.discrete.inclined import HeldNodes
+from adaptmg.discrete.mortar.interface import MortarInterface
+from adaptmg.discrete.mortar.pairs import pair_interface
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.surfaces import ContactPair, Tied
+
+
+@dataclass(frozen=True, eq=False)
+class TieForces:
+    """Forces that ties exert on both bodies."""
+
+    node: np.ndarray  # (n,) int
+    force: np.ndarray  # (n, dim), N
+    boundary: np.ndarray  # (n,) int: index into names
+    names: tuple[str, ...]  # of the slave and the master of each tie
+
+    def on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes and forces on one boundary."""
+        own = np.isin(self.boundary, [k for k, name in enumerate(self.names) if name == boundary])
+        return self.node[own], self.force[own]
+
+    def total(self, n_nodes: int) -> np.ndarray:
+        """Forces (n_nodes, dim) of all ties."""
+        result = np.zeros((n_nodes, self.force.shape[1]))
+        np.add.at(result, self.node, self.force)
+        return result
+
+
+def tie_interfaces(ties: Sequence[Tied], mesh: MeshArrays, held: HeldNodes, axisymmetric: bool
+                   ) -> list[MortarInterface]:
+    """The tied slave nodes of each tie. Nodes on several belong to the tie named first; what supports hold in all
+    directions is not tied."""
+    taken = held.fixed.all(axis=1)
+    if held.inclined is not None:  # a support that moves such a node prescribes it
+        taken[held.inclined.nodes[held.inclined.moving]] = True
+    parts = []
+    for tie in ties:
+        pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
+        own = mesh.surface(tie.slave).nodes
+        try:
+            parts.append(pair_interface(mesh, pair, held=held, excluded=own[taken[own]], axisymmetric=axisymmetric))
+        except ValueError as error:
+            raise ValueError(str(error).replace("contact pair", "tie", 1)) from error
+        taken[parts[-1].nodes] = True
+    return parts
+
+
+def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
+    """The forces of the ties of a problem with the residual A w - b (n_dofs,), N; None without ties."""
+    if not problem.ties:
+        return None
+    at, held = residual.reshape(-1, problem.dim), problem.held.reshape(-1, problem.dim)
+    nodes, forces, boundary, names = [], [], [], []
+    for slave, master, tied in problem.ties:
+        own = np.where(held[tied], 0.0, at[tied])
+        own = own if problem.inclined is None else problem.inclined.free_part(tied, own)
+        rows = sparse.csr_array(problem.coupling.weights[tied])
+        facing = np.unique(rows.indices)
+        nodes += [tied, facing]
+        forces += [own, -(rows.T @ own)[facing]]
+        boundary += [np.full(len(tied), len(names)), np.full(len(facing), len(names) + 1)]
+        names += [slave, master]
+    return TieForces(*map(np.concatenate, (nodes, forces, boundary)), names=tuple(names))

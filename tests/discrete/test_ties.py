@@ -1,0 +1,137 @@
+"""Ties: bodies that move together on meshes that do not match."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from bodies import EXACT
+from refused import refused
+
+import adaptmg as am
+from adaptmg.mesh import structured
+
+E, NU = 1e7, 0.3
+PLANE = am.PlaneStrain(young=E, poisson=NU)
+
+
+def stacked(dim, seed):
+    """Two tied blocks under tension in a random place, size and direction; the meshes and the turn."""
+    rng = np.random.default_rng(seed)
+    turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
+    turn[0] *= np.linalg.det(turn)
+    size, shift = 10.0 ** rng.uniform(-3, 2), rng.uniform(-5, 5, dim)
+    box, depth = (am.Box, {"depth": 1.0}) if dim == 3 else (am.Rectangle, {})
+    parts = {name: box(width=1.0, height=0.5, origin=(*[0.0] * (dim - 1), low), **depth)
+             for name, low in (("upper", 0.5), ("lower", 0.0))}
+    meshes = [structured(am.Assembly(parts=parts), {"upper": 3 * n // 2, "lower": n}) for n in (2, 4)]
+    meshes = [replace(one, points=size * one.points @ turn.T + shift, source=None) for one in meshes]
+    planes = [f"{body}.{side}" for body in parts for side in ("left", "front")[:dim - 1]]
+    problem = am.ContactProblem(
+        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=E, poisson=NU), loads=am.Pressure("upper.top", -1e3),
+        ties=am.Tied("upper.bottom", "lower.top"), supports=[*map(am.Symmetry, planes), am.Symmetry("lower.bottom")])
+    return problem, meshes, turn, lambda points: (points - shift) @ turn
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_tie_passes_a_uniform_stress_exactly(dim, seed):
+    problem, meshes, turn, back = stacked(dim, seed)
+    grids = am.Hierarchy.from_meshes(problem, meshes)
+    strain = np.array([-NU * (1 + NU), 1 - NU**2] if dim == 2 else [-NU, -NU, 1]) * 1e3 / E
+    for method in (am.Multigrid(rtol=1e-11), am.FullMultigrid(rtol=1e-11), EXACT):
+        result = am.solve(grids, method)
+        expected = strain * back(meshes[-1].points)
+        np.testing.assert_allclose(result.displacement @ turn, expected, atol=1e-9 * np.abs(expected).max())
+    area = meshes[-1].surface("lower.top").measures.sum()
+    for name, sign in (("upper.bottom", -1), ("lower.top", 1), ("lower.bottom", -1)):
+        np.testing.assert_allclose(result.resultant(name).force, sign * 1e3 * area * turn[:, -1], atol=1e-3 * area)
+    for indicator in (am.Residual(), am.Recovery(), am.Goal(am.MeanDisplacement("upper.top", 0))):
+        assert indicator.indicate(grids, result).relative < 1e-6
+
+
+def cantilever(**changes):
+    """Two beams welded end to end."""
+    parts = {"inner": am.Rectangle(width=1, height=0.5), "outer": am.Rectangle(width=1, height=0.5, origin=(1, 0))}
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts), material=PLANE, ties=am.Tied("outer.left", "inner.right"),
+        loads=am.Traction("outer.right", (0.0, -1e3)), supports=am.Support("inner.left", x=0, y=0))
+    return replace(problem, **changes)
+
+
+def test_a_tie_of_matching_meshes_is_one_body():
+    grids = am.Hierarchy.uniform(cantilever(), [{"inner": (4, 2), "outer": (4, 2)}, {"inner": (8, 4), "outer": (8, 4)}])
+    far = am.Contact("bottom", am.GapFunction(lambda x: np.full(len(x), 1e3)))
+    whole = am.Hierarchy.uniform(cantilever(domain=am.Rectangle(width=2, height=0.5), ties=(), contact=far, loads=(
+        am.Traction("right", (0.0, -1e3)),), supports=(am.Support("left", x=0, y=0),)), [(8, 2), (16, 4)])
+    tied, expected = am.solve(grids, EXACT), am.solve(whole, EXACT)
+    points = tied.mesh.points
+    np.testing.assert_allclose(tied.displacement, expected.probe(points), atol=1e-11)
+    np.testing.assert_allclose(tied.resultant("outer.left").force, [0.0, 500.0], atol=1e-8)
+    assert tied.resultant("outer.left", about=(1, 0.25)).moment == pytest.approx(500.0)
+    assert tied.resultant("inner.left").force == pytest.approx([0.0, 500.0], abs=1e-6)
+    assert am.solve(grids, am.Multigrid()).cycles <= am.solve(whole, am.Multigrid()).cycles + 3
+    assert am.Residual().indicate(grids, tied).total == pytest.approx(am.Residual().indicate(whole, expected).total,
+                                                                      rel=1e-2)
+
+
+def pressed():
+    """Two tied blocks that are pressed and pushed on a third one, on which they slide in part."""
+    parts = {"cap": am.Rectangle(width=1, height=0.5, origin=(0, 0.5)), "block": am.Rectangle(width=1, height=0.5),
+             "base": am.Rectangle(width=2, height=0.5, origin=(-0.5, -0.5))}
+    return am.ContactProblem(
+        domain=am.Assembly(parts=parts), material=PLANE, ties=am.Tied("cap.bottom", "block.top"),
+        contact=am.ContactPair("block.bottom", "base.top", law=am.Coulomb(0.3)),
+        supports=am.Support("base.bottom", x=0, y=0),
+        loads=(am.Pressure("cap.top", 1e4), am.Traction("cap.right", (-3e3, 0.0))))
+
+
+def test_ties_and_contact_carry_a_load_together(tmp_path):
+    grids = am.Hierarchy.uniform(pressed(), [{"cap": 3 * k, "block": 2 * k, "base": (5 * k, 2 * k)} for k in (1, 2, 4)])
+    exact = am.solve(grids, EXACT)
+    assert {am.SLIP, am.STICK} <= set(exact.contact.state)
+    for method in (am.Multigrid(), am.FullMultigrid(), am.Multigrid(correction=am.Monotone())):
+        np.testing.assert_allclose(am.solve(grids, method).displacement, exact.displacement,
+                                   atol=1e-6 * np.abs(exact.displacement).max())
+    exact.save(tmp_path / "run.npz")
+    path = am.solve_path(grids, am.LoadPath({"cap.right": [0, 1]}), EXACT)
+    for result in (exact, am.Result.load(tmp_path / "run.npz"), path[1]):
+        for name in ("cap.bottom", "block.bottom", "base.bottom"):
+            assert result.resultant(name).force == pytest.approx([1500.0, 1e4], abs=1e-4)
+        assert result.resultant("block.top").force == pytest.approx([-1500.0, -1e4], abs=1e-4)
+
+
+@pytest.mark.parametrize("engine", [am.Remesh(), am.Bisect()], ids=["remesh", "bisect"])
+def test_adaptive_loops_refine_tied_bodies(engine):
+    steps = list(am.adapt(pressed(), start=0.3, engine=engine, max_nodes=600))
+    errors = [step.estimate.relative for step in steps]
+    assert len(errors) > 2 and all(b < a for a, b in pairwise(errors))
+    assert steps[-1].result.resultant("cap.bottom").force == pytest.approx([1500.0, 1e4], rel=1e-4)
+
+
+def test_a_pin_glued_into_its_hole_fills_it():
+    """Curved surfaces of independent meshes: the stress of the plate without a hole."""
+    pin, hole = (am.Circle((0, 0), 0.3, name) for name in ("rim", "hole"))
+    plate = am.Cut(am.Rectangle(width=2, height=2, origin=(-1, -1)), hole)
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts={"pin": pin, "plate": plate}), material=PLANE, ties=am.Tied("pin.rim", "plate.hole"),
+        loads=am.Pressure("plate.right", -1e3), supports=(am.Symmetry("plate.left"), am.PointSupport((-1, -1), y=0)))
+    result = am.solve(am.Hierarchy.graded(problem, [0.4, 0.2]), am.Multigrid(rtol=1e-10))
+    expected = 1e3 / E * (result.mesh.points + 1) * [1 - NU**2, -NU * (1 + NU)]
+    np.testing.assert_allclose(result.displacement, expected, atol=1e-8 * np.abs(expected).max())
+
+
+test_refused = refused(
+    (lambda: am.Tied("a", "a"), "slave and master are both 'a'"),
+    (lambda: am.Tied("a", "b", reach=0.0), "reach must be"),
+    (lambda: cantilever(ties=()), "contact is empty"),
+    (lambda: cantilever(ties=(am.Tied("outer.left", "inner.right"), am.Tied("inner.right", "outer.right"))),
+     "'inner.right' is the master of 'outer.left' and slave of another tie"),
+    (lambda: cantilever(contact=am.ContactPair("outer.left", "inner.top", law=am.Frictionless())),
+     "'outer.left' is named twice as slave"),
+    (lambda: am.Hierarchy.uniform(cantilever(ties=am.Tied("outer.lft", "inner.right")), [2]),
+     r"'outer.lft', used for a tie, does not exist \(did you mean 'outer.left'\?\)"),
+    (lambda: am.Hierarchy.uniform(cantilever(ties=am.Tied("outer.right", "inner.right")), [2]),
+     "tie 'outer.right' on 'inner.right': the surfaces never face"),
+    (lambda: am.ContactProblem(material=PLANE, contact=am.ContactPair("a", "b")), TypeError, "law must be"),
+    (lambda: am.solve(am.Hierarchy.uniform(cantilever(supports=()), [2])), "nothing holds"))
