@@ -21,6 +21,7 @@ from adaptmg.discrete.anisotropic import Moduli
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, as_tensors, von_mises
+from adaptmg.discrete.stress_intensity import StressIntensity, stress_intensity
 from adaptmg.discrete.ties import TieForces
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
@@ -28,7 +29,6 @@ from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, ce
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.record import Status
 from adaptmg.solver.store import packed, read
-from adaptmg.solver.stress_intensity import StressIntensity, stress_intensity
 
 if TYPE_CHECKING:
     import pandas
@@ -283,7 +283,12 @@ class Result:
         ValueError
             For other than plane problems and cracks; where the mesh is too coarse at the tip.
         """
-        return stress_intensity(self, crack, tip, radius)
+        data, contact = self._data(), self.contact
+        if self.dim != 2 or data.axisymmetric:
+            raise ValueError("stress_intensity: only plane problems (PlaneStrain, PlaneStress) have K_I and K_II")
+        return stress_intensity(self.mesh, self.displacement, data, checks.boundary_name("crack", crack),
+                                checks.integer("tip", tip, 0), radius, contact.node,
+                                np.array(contact.names)[contact.boundary], contact.force / contact.weights[:, None])
 
     @property
     def energy(self) -> float:
