@@ -333,6 +333,13 @@ def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     return (a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / 6
 
 
+def positive(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
+    """The simplices with their last two corners exchanged where they are turned over."""
+    negative, elements = signed_measures(points, elements) < 0, np.array(elements)
+    elements[negative, -2:] = elements[negative, :-3:-1]
+    return elements
+
+
 def longest_edges(corners: np.ndarray) -> np.ndarray:
     """Longest edge (n,) of each of some simplices, given by their corners (n, dim + 1, dim)."""
     k = corners.shape[1]
@@ -496,10 +503,7 @@ def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, fac
                              "(counted from 0)")
     if not np.isfinite(points).all():
         raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
-    dim = points.shape[1]
-    negative = signed_measures(points, elements) < 0
-    elements = np.array(elements)
-    elements[negative, -2:] = elements[negative, :-3:-1]
+    dim, elements = points.shape[1], positive(points, elements)
     number = np.full(len(points), -1, dtype=np.int64)
     used = np.unique(elements)
     number[used] = np.arange(len(used))

@@ -23,7 +23,7 @@ from adaptmg._numba import kernel
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, normalised, sound_by_construction, swept
 from adaptmg.mesh.domains import boundary_measures, extent
 from adaptmg.mesh.netgen_guard import MAX_NODES, NetgenUnfinished, meshing_limit, netgen
-from adaptmg.mesh.slits import opened
+from adaptmg.mesh.slits import opened_tables
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.plane_domains import Domain, Outline
 
@@ -56,7 +56,13 @@ def netgen_mesh(domain: Outline, sizes: SizeField | Sequence[SizeField], max_siz
         try:
             with netgen() as worker:
                 tables = worker("mesh_plane", domain, lower, scale, sides, options, at, seconds=meshing_limit(nodes, 2))
-            unit = normalised(*(_opened(domain, *tables) if domain.twins else tables))
+            if domain.twins:
+                # edges turned by -90 degrees
+                normals = (np.array(domain.vertices)[domain.following] - domain.vertices) @ [[0, -1], [1, 0]]
+                edges = {i: k for k, i in enumerate(map(int, tables[4]))}
+                tables = opened_tables({edges[left]: str(right) for right, left in domain.twins.items()},
+                                       {k: normals[i] for i, k in edges.items()}, *tables)
+            unit = normalised(*tables)
         except ValueError as error:
             raise netgen_error(domain, error) from error
         mesh = _onto_outline(domain, replace(unit, points=lower + scale * unit.points, bodies=("body",)))
@@ -67,25 +73,6 @@ def netgen_mesh(domain: Outline, sizes: SizeField | Sequence[SizeField], max_siz
             small = wanted < max_size
             at = [((places[small] - lower) / scale, wanted[small] / scale)]
     return mesh
-
-
-def _opened(domain: Outline, points: np.ndarray, elements: np.ndarray, facets: np.ndarray, labels: np.ndarray,
-            names: Sequence[str], *bodies: object) -> tuple:
-    """Netgen's tables, opened along the facets of the left faces of cracks; the right faces are added."""
-    left = {left: right for right, left in domain.twins.items()}  # of each left edge the right one
-    edge = np.array([int(names[label]) for label in labels])
-    at = np.flatnonzero(np.isin(edge, list(left)))
-    at = at[np.unique(facet_keys(facets[at], len(points)), return_index=True)[1]]
-    vertices = np.array(domain.vertices)
-    along = (vertices[domain.following] - vertices)[edge[at]]
-    forward = ((points[facets[at, 1]] - points[facets[at, 0]]) * along).sum(axis=1) > 0
-    faces = np.where(forward[:, None], facets[at], facets[at, ::-1])
-    rest = ~np.isin(edge, list(left))
-    facets = np.concatenate([facets[rest], faces, faces[:, ::-1]])
-    elements, facets, is_open, origin = opened(elements, facets, len(points))
-    edge = np.concatenate([edge[rest], edge[at], [left[i] for i in edge[at]]])
-    names = list(map(str, range(len(domain.boundaries))))
-    return points[origin], elements, facets[is_open], edge[is_open], names, *bodies
 
 
 def growth(value: float) -> float:

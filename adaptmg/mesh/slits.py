@@ -8,6 +8,7 @@ branches need no care. A facet with all its nodes at tips stays closed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, same_orientation
+from adaptmg.mesh.arrays import MeshArrays, Surface, facet_keys, facet_table, positive, same_orientation
 from adaptmg.mesh.soundness import check_mesh, with_source
 
 
@@ -59,6 +60,23 @@ def opened(elements: np.ndarray, facets: np.ndarray, n_nodes: int
     origin = np.concatenate([np.arange(n_nodes), origin[again]])
     closed, counts = np.unique(facet_keys(sides, len(origin)), return_counts=True)
     return result, sides, ~np.isin(facet_keys(sides, len(origin)), closed[counts > 1]), origin
+
+
+def opened_tables(right: Mapping[int, str], normals: Mapping[int, np.ndarray], points: np.ndarray, elements: np.ndarray,
+                  facets: np.ndarray, labels: np.ndarray, names: Sequence[str], *bodies: object) -> tuple:
+    """Netgen's tables with cracks opened: ``right`` names the right face of each label of a left one, whose outward
+    normals point along ``normals``."""
+    elements = positive(points, elements)
+    crack = np.isin(labels, list(right))
+    at = np.flatnonzero(crack)
+    at = at[np.unique(facet_keys(facets[at], len(points)), return_index=True)[1]]
+    along = np.einsum("nd,nd->n", Surface(points, facets[at]).vectors, np.array([normals[k] for k in labels[at]]))
+    faces = np.where(along[:, None] > 0, facets[at], facets[at, ::-1])
+    names, number = [*names, *right.values()], {label: len(names) + k for k, label in enumerate(right)}
+    elements, facets, is_open, origin = opened(elements, np.concatenate([facets[~crack], faces, faces[:, ::-1]]),
+                                               len(points))
+    labels = np.concatenate([labels[~crack], labels[at], [number[k] for k in labels[at]]]).astype(np.int64)
+    return points[origin], elements, facets[is_open], labels[is_open], names, *bodies
 
 
 def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArrays:
