@@ -39,8 +39,10 @@ from adaptmg.mesh.netgen_plane import (
     too_large,
     unreachable,
 )
+from adaptmg.mesh.slits import opened_tables
 from adaptmg.mesh.soundness import check_mesh, least_angle
 from adaptmg.mesh.surfaces import Misplaced, Revolved, candidates, onto_surfaces, surfaces_of
+from adaptmg.problem.cracked import Cracked, normal_of
 from adaptmg.problem.plane_domains import Box, Domain
 from adaptmg.problem.solid_domains import (
     Ball,
@@ -185,23 +187,39 @@ class Shape:
     centres: np.ndarray  # (n, 3): of its faces
     lower: np.ndarray  # m: where its origin lies
     scale: float  # m: its unit of length
+    #: of the left faces of cracks, by number: the direction from there to the right face, whose number follows those of
+    #: all others, in this order
+    cracks: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def built_shape(worker: Netgen, domain: SolidDomain | Box) -> Shape:
     """Build the OCC solid of a domain."""
     lower, scale = extent(domain)
     try:
-        return Shape(*worker("build_shape", domain, lower, scale, seconds=LIMIT_S[3]), lower, scale)
+        shape = Shape(*worker("build_shape", domain, lower, scale, seconds=LIMIT_S[3]), lower, scale)
     except NetgenFails as error:
         raise ValueError(f"OCC could not build {domain!r} ({error}); change its lengths a little") from error
+    return _two_faced(domain, shape) if isinstance(domain, Cracked) else shape
+
+
+def _two_faced(domain: Cracked, shape: Shape) -> Shape:
+    """The shape with a right face, after all others, for each left one of a crack."""
+    normals = {f"{name}.left": normal_of(path) for name, path in domain.cracks.items()}
+    if missing := sorted(set(normals) - set(shape.names)):
+        raise ValueError(f"cracks[{missing[0].removesuffix('.left')!r}] lies outside the body")
+    left = [i for i, name in enumerate(shape.names) if name in normals]
+    return replace(shape, names=[*shape.names, *(shape.names[i].removesuffix("left") + "right" for i in left)],
+                   areas=[*shape.areas, *(shape.areas[i] for i in left)],
+                   samples=[*shape.samples, *(shape.samples[i] for i in left)],
+                   cracks={str(i): normals[shape.names[i]] for i in left})
 
 
 def curved_nodes(domain: Domain, size: float, curvature: float) -> float:
     """Nodes that round faces ask for, whose edges are at most their radius over ``curvature``."""
     if isinstance(domain, Combination):
         return curved_nodes(domain.a, size, curvature) + curved_nodes(domain.b, size, curvature)
-    if isinstance(domain, Moved):
-        return curved_nodes(domain.solid, size, curvature)
+    if isinstance(domain, Moved | Cracked):
+        return curved_nodes(domain.solid if isinstance(domain, Moved) else domain.domain, size, curvature)
     if isinstance(domain, Cylinder):
         area = 2 * math.pi * domain.radius * domain.height
     elif isinstance(domain, Ball):
@@ -256,9 +274,14 @@ def shape_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
     raise netgen_error(domain, why) from why
 
 
-def _sound(tables: Sequence) -> MeshArrays:
-    """The mesh of some tables; NetgenFails if it is not sound."""
+def _sound(shape: Shape, tables: Sequence) -> MeshArrays:
+    """The mesh of some tables, opened along cracks; NetgenFails if it is not sound."""
     try:
+        if shape.cracks:
+            label = {name: k for k, name in enumerate(tables[4])}
+            first = len(shape.names) - len(shape.cracks)
+            tables = opened_tables({label[name]: str(first + k) for k, name in enumerate(shape.cracks)},
+                                   {label[name]: normal for name, normal in shape.cracks.items()}, *tables)
         return check_mesh(normalised(*tables))
     except ValueError as error:
         raise NetgenFails(str(error)) from error
@@ -274,7 +297,7 @@ def _netgen_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, groups: dict[s
     at: SizesAt = []
     for k in range(rounds + 1):
         # of a draft only its sizes matter: optimising takes most of the time
-        unit = _sound(worker("mesh_shape", face_sizes, options | ({"optsteps3d": 0} if k < rounds else {}), at,
+        unit = _sound(shape, worker("mesh_shape", face_sizes, options | ({"optsteps3d": 0} if k < rounds else {}), at,
                              seconds=meshing_limit(nodes, 3)))
         if k < rounds:
             mesh = _placed(unit, shape)
@@ -311,7 +334,7 @@ def _bisected(worker: Netgen, unit: MeshArrays, shape: Shape, sizes: SolidSizes,
             return unit
         nodes = refuse_too_many(expected_nodes(mesh, at_centroids), domain)
         # on the mesh with its geometry, so that new nodes go onto the surfaces
-        unit = _sound(worker("bisect", large, seconds=meshing_limit(nodes, 3)))
+        unit = _sound(shape, worker("bisect", large, seconds=meshing_limit(nodes, 3)))
     raise unreachable(domain, large)
 
 

@@ -86,8 +86,8 @@ def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArray
     ----------
     mesh : MeshArrays
     facets : (n, dim) array of int
-        Nodes of facets between two elements of one body, oriented as outward facets of the left face: in 2D along the
-        path, in 3D counter-clockwise as seen from the right.
+        Nodes of facets between two elements, also of two bodies that share nodes, oriented as outward facets of the
+        left face: in 2D along the path, in 3D counter-clockwise as seen from the right.
     name : str
         The new boundaries are called "name.left" and "name.right".
 

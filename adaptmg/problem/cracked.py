@@ -1,4 +1,4 @@
-"""Cracked: a plane domain with cracks, each a path of straight edges with two faces."""
+"""Cracked: a body with cracks, each with two faces: paths of straight edges in the plane, polygons in space."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
-from adaptmg.problem.plane_domains import Domain, Outline, with_vertex
+from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle, with_vertex
 from adaptmg.problem.plane_edges import Segment, check_simple
+from adaptmg.problem.solid_domains import SolidDomain
 
-Path = tuple[tuple[float, float], ...]
+Path = tuple[tuple[float, ...], ...]
 # of the extent: ends of cracks this near to a vertex or an edge lie on it
 _NEAR = 1e-9
 
@@ -42,17 +43,18 @@ class Slit(Outline):
 
 
 @dataclass(frozen=True)
-class Cracked(Domain):
-    """A plane domain with cracks.
+class Cracked(SolidDomain):
+    """A body with cracks.
 
     Parameters
     ----------
-    domain : Rectangle, Polygon, Outline, Circle, or a combination of these
+    domain : Rectangle, Polygon, Outline, Circle, or a combination of these; or Box, Cylinder, Cut, ...
         The body without cracks.
-    cracks : mapping of str to sequence of pairs of float
+    cracks : mapping of str to sequence of points
         The path of each crack by its name, m: straight edges between two or more points inside the body; each end may
-        lie on the boundary, or at a point of another crack. The boundaries "name.left" and "name.right" are its faces,
-        seen along the path. They touch where an :class:`~adaptmg.ContactPair` says so.
+        lie on the boundary, or at a point of another crack. In space a plane polygon. The boundaries "name.left" and
+        "name.right" are its faces, seen along the path; polygons run counter-clockwise as seen from the right. The
+        faces touch where an :class:`~adaptmg.ContactPair` says so.
 
     Examples
     --------
@@ -63,23 +65,24 @@ class Cracked(Domain):
 
     domain: Domain
     cracks: Mapping[str, Path]
-    dim: ClassVar[int] = 2
 
     __repr__ = brief
     if TYPE_CHECKING:
         def __init__(self, domain: Domain, cracks: Mapping[str, ArrayLike]) -> None: ...
 
     def __post_init__(self) -> None:
-        body = self.domain
-        if not isinstance(body, Domain) or body.dim != 2 or not hasattr(body, "outline") or isinstance(body, Cracked):
-            raise TypeError("domain must be a Rectangle, a Polygon, an Outline, a Circle, or a combination of these, "
-                            f"got {checks.described(body)}")
+        body = checks.instance("domain", self.domain, (SolidDomain, Box, Rectangle, Polygon, Outline, Circle), "a "
+                               "Rectangle, a Polygon, an Outline, a Circle, a Box or another solid, or a combination")
+        if isinstance(body, Cracked):
+            raise TypeError("domain is cracked already; name all its cracks together")
         paths = {}
         for name, points in checks.mapping("cracks", self.cracks, "names to paths").items():
             checks.boundary_name("the names of cracks", name)
-            path = check_arrays.array(f"cracks[{name!r}]", points, (None, 2))
-            if len(path) < 2:
-                raise ValueError(f"cracks[{name!r}] must be two points or more, got {checks.shown(points)}")
+            path = check_arrays.array(f"cracks[{name!r}]", points, (None, body.dim))
+            if len(path) < body.dim:
+                raise ValueError(f"cracks[{name!r}] must be {body.dim} points or more, got {checks.shown(points)}")
+            if body.dim == 3:
+                _check_plane(name, path)
             paths[name] = tuple(map(tuple, (path + 0.0).tolist()))
         if not paths:
             raise ValueError("cracks is empty: name one crack at least")
@@ -88,10 +91,16 @@ class Cracked(Domain):
         if len(set(names)) < len(names):
             raise ValueError(f"cracks: the faces {', '.join(names[-2 * len(paths):])} must have other names than the "
                              f"boundaries {', '.join(self.domain.boundaries)}")
-        _ = self.outline
+        if body.dim == 2:
+            _ = self.outline
 
     def __hash__(self) -> int:
         return hash((self.domain, tuple(self.cracks.items())))
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return self.domain.dim
 
     @property
     def boundaries(self) -> tuple[str, ...]:
@@ -103,7 +112,9 @@ class Cracked(Domain):
 
     @cached_property
     def outline(self) -> Slit:
-        """The outline of the body with the cracks as holes without width."""
+        """Of a plane body its outline, with the cracks as holes without width."""
+        if self.dim != 2:
+            raise ValueError("outline: only plane domains have one")
         body, paths = self._anchored()
         _check_cracks(body, paths)
         vertices, names, holes, twins = list(body.vertices), list(body.boundaries), list(body.holes), {}
@@ -135,6 +146,26 @@ class Cracked(Domain):
 
 
 _SIDES = ("left", "right")
+
+
+def normal_of(polygon: ArrayLike) -> np.ndarray:
+    """Twice the area vector (3,) of a plane polygon, pointing to where it runs counter-clockwise."""
+    spokes = np.array(polygon) - polygon[0]
+    return np.cross(spokes[1:-1], spokes[2:]).sum(axis=0)
+
+
+def _check_plane(name: str, path: np.ndarray) -> None:
+    """ValueError unless a path is a plane polygon that does not cross itself."""
+    normal, extent = normal_of(path), float(np.ptp(path, axis=0).max())
+    length = float(np.linalg.norm(normal))
+    if not length > _NEAR * extent**2 or not np.abs((path - path[0]) @ normal).max() <= _NEAR * extent * length:
+        raise ValueError(f"cracks[{name!r}] must be the corners of a plane polygon, got {checks.shown(path.tolist())}")
+    first = (path[1] - path[0]) / np.linalg.norm(path[1] - path[0])
+    axes = np.stack([first, np.cross(normal / length, first)])
+    try:
+        Polygon(vertices=(path - path[0]) @ axes.T, boundaries=(name,) * len(path))
+    except ValueError as error:
+        raise ValueError(f"cracks[{name!r}]: {error}") from error
 
 
 def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:

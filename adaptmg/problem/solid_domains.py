@@ -244,8 +244,9 @@ class Moved(SolidDomain):
 
     def __post_init__(self) -> None:
         checks.instance("solid", self.solid, (SolidDomain, Box), _SOLID)
-        if self.solid.dim != 3:
-            raise ValueError(f"solid must be {_SOLID}, got a plane {type(self.solid).__name__}")
+        if self.solid.dim != 3 or hasattr(self.solid, "cracks"):
+            what = "plane" if self.solid.dim != 3 else "cracked"
+            raise ValueError(f"solid must be {_SOLID}, got a {what} {type(self.solid).__name__}")
         checks.convert(self, corner, "offset", dim=3)
         checks.convert(self, checks.quantity, "angle")
         checks.convert(self, _direction, "axis")
@@ -290,6 +291,8 @@ class Combination(SolidDomain):
         for name, part in (("a", self.a), ("b", self.b)):
             checks.instance(name, part, (SolidDomain, Box, *_PLANE),
                             f"{_SOLID}, or a plane domain (Rectangle, Polygon, Outline, Circle, Cut, ...)")
+        if cracked := [name for name in "ab" if hasattr(getattr(self, name), "cracks")]:
+            raise ValueError(f"{cracked[0]} is cracked: combine the bodies first, and crack the result")
         if self.a.dim != self.b.dim:
             raise ValueError(f"a is {self.a.dim}D, b {self.b.dim}D: combine two solids or two plane domains")
         checks.convert(self, checks.mapping, "rename", words="names to names")

@@ -72,6 +72,43 @@ def test_stress_intensity_factors_are_those_of_an_infinite_plate():
         replace(result, stress_data=StressData.of(result.mesh, layered)).stress_intensity("crack")
 
 
+def test_a_bond_that_sticks_is_as_if_glued():
+    whole = am.mesh.structured(am.Rectangle(width=1, height=1), 8)
+    upper = whole.points[whole.elements].mean(axis=1)[:, 1] > 0.5
+    whole = replace(whole, element_body=upper, bodies=("lower", "upper"))
+    line = np.flatnonzero((whole.points[:, 1] == 0.5) & (abs(whole.points[:, 0] - 0.5) < 0.4))
+    opened = am.mesh.split(whole, np.column_stack([line[:-1], line[1:]]), "bond")
+    floor, bond = am.Contact("bottom", am.Plane((0, 0), (0, 1))), am.ContactPair("bond.right", "bond.left")
+    found = []
+    for mesh, contact in ((whole, (floor,)), (opened, (floor, bond))):
+        problem = am.ContactProblem(
+            material={"lower": am.PlaneStrain(young=1.0, poisson=0.3), "upper": am.PlaneStrain(young=3.0, poisson=0.2)},
+            loads=(am.Pressure("top", lambda x: P * (1 + x[:, 0])), am.Traction("top", (0.2 * P, 0))),
+            supports=(am.Support("left", x=0),), law=am.Coulomb(0.9), contact=contact)
+        found.append(am.solve(am.Hierarchy.from_meshes(problem, [mesh]), am.ActiveSet(rtol=1e-10)).displacement)
+    np.testing.assert_allclose(found[1][:whole.n_nodes], found[0], atol=1e-9 * np.abs(found[0]).max())
+
+
+@pytest.mark.slow
+def test_the_slip_of_a_penny_is_that_of_eshelby():
+    half, poisson, angles = 5.0, 0.25, np.arange(24) * np.pi / 12
+    circle = 1.0057 * np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])          # of the same area
+    sides = {"top": (P, 0, 0), "bottom": (-P, 0, 0), "right": (0, 0, P), "left": (0, 0, -P)}
+    low, high = -half, half
+    problem = am.ContactProblem(
+        domain=am.Cracked(am.Box(width=10, depth=10, height=10, origin=(low,) * 3), {"penny": circle}),
+        material=am.Solid(young=1.0, poisson=poisson), law=am.Frictionless(),
+        contact=am.ContactPair("penny.left", "penny.right"),
+        loads=(*(am.Pressure(name, P) for name in ("top", "bottom")), *(am.Traction(*side) for side in sides.items())),
+        supports=(am.PointSupport((low, low, low), x=0, y=0, z=0), am.PointSupport((high, low, low), y=0, z=0),
+                  am.PointSupport((low, high, low), z=0)))
+    result = am.solve(am.Hierarchy.graded(problem, (3, 1.5), 10), am.Multigrid(rtol=1e-5))
+    inner = np.hypot(*result.contact.x.T[:2]) < 0.6
+    expected = 8 * (1 - poisson) / (np.pi * (2 - poisson)) * P / 0.4
+    factor = np.linalg.norm(result.contact.slip, axis=1) / np.sqrt(1 - np.square(result.contact.x).sum(axis=1))
+    np.testing.assert_allclose(factor[inner] / expected, 0.9, atol=0.07)
+
+
 @pytest.mark.parametrize("in_contact", [True, False])
 @pytest.mark.parametrize("chords", [(4, 4), (2, 24)])
 def test_a_jump_stays_a_jump(in_contact, chords):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bodies import rotation
 from refused import refused
 
 import adaptmg as am
@@ -60,6 +61,25 @@ def test_cracks_are_meshed_with_two_faces_that_share_tips(mesher):
         check_mesh(replace(level, source=None), domain.boundaries)
 
 
+def test_polygons_are_cracks_of_solids():
+    rng = np.random.default_rng()
+    turn = rotation(rng.normal(size=3))
+    square = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) @ turn.T + (3, 3, 3)
+    # this one reaches through the side
+    half = [(4.5, 2, 5), (13.5, 2, 5), (13.5, 5, 5), (4.5, 5, 5)]
+    domain = am.Cracked(am.Box(width=6, depth=6, height=7), {"square": square, "half": half})
+    mesh = graded(domain, 2, ("square.left", "square.right"), 4)
+    check_mesh(replace(mesh, source=None), domain.boundaries)
+    for name, area, normal in (("square", 4, turn[:, 2]), ("half", 4.5, (0, 0, 1))):
+        left, right = (mesh.surface(f"{name}.{side}") for side in ("left", "right"))
+        np.testing.assert_allclose(left.vectors.sum(axis=0), area * np.array(normal), atol=1e-9)
+        np.testing.assert_allclose(left.vectors.sum(axis=0), -right.vectors.sum(axis=0))
+    front = mesh.points[np.intersect1d(*(mesh.boundary_nodes(f"square.{side}") for side in ("left", "right")))]
+    np.testing.assert_allclose(np.abs((front - 3) @ turn).max(axis=1), 1, atol=1e-9)
+    fine = refine_near(mesh, "square.left")[-1]
+    assert fine.surface("square.left").measures.sum() == pytest.approx(4)
+
+
 def test_a_mesh_is_split_along_facets():
     cube = structured(am.Box(width=1, depth=1, height=1), 4)
     inside = np.abs(cube.points[cube.elements] - 0.5).max(axis=(1, 2)) < 0.3
@@ -72,12 +92,19 @@ def test_a_mesh_is_split_along_facets():
     assert len(cracked.boundary_facets("disc.left")) == len(cracked.boundary_facets("disc.right")) == 8 - 2
 
 
+CUBE, TRIANGLE = am.Box(width=1, depth=1, height=1), [(.3, .3, .5), (.7, .3, .5), (.5, .7, .5)]
 SQUARE = structured(am.Rectangle(width=1, height=1), 4)
 test_refused = refused(
-    (lambda: am.Cracked(am.Box(width=1, depth=1, height=1), {}), TypeError, "domain must be a Rectangle"),
-    (lambda: am.Cracked(am.Cracked(PLATE, {"a": [(1, 1), (2, 2)]}), {"b": [(1, 2), (2, 1)]}), TypeError, "domain must"),
+    (lambda: am.Cracked(am.StepFile("a.step"), {}), TypeError, "domain must be a Rectangle"),
+    (lambda: am.Cracked(am.Cracked(PLATE, {"a": [(1, 1), (2, 2)]}), {"b": [(1, 2), (2, 1)]}), TypeError, "already"),
+    (lambda: am.Cut(PLATE, am.Cracked(PLATE, {"a": [(1, 1), (2, 2)]})), "b is cracked"),
+    (lambda: am.Moved(am.Cracked(CUBE, {"a": TRIANGLE})), "got a cracked"),
+    (lambda: am.Cracked(CUBE, {"a": [*TRIANGLE, (.5, .5, .6)]}), "corners of a plane polygon"),
+    (lambda: am.Cracked(CUBE, {"a": [(0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0)]}), r"cracks\['a'\]"),
+    (lambda: graded(am.Cracked(CUBE, {"a": np.add(TRIANGLE, 3)}), .3), "lies outside"),
+    (lambda: graded(am.Cracked(CUBE, {"a": [(-1, -1, .5), (2, -1, .5), (2, 2, .5), (-1, 2, .5)]}), .3), "2 pieces"),
     (lambda: am.Cracked(PLATE, {}), "name one crack"),
-    (lambda: am.Cracked(PLATE, {"a": [(1, 1)]}), "two points or more"),
+    (lambda: am.Cracked(PLATE, {"a": [(1, 1)]}), "2 points or more"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1), (5, 1)]}), r"cracks\['a'\] leaves the body|meet"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 0), (1, 3)]}), "in two"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1), (2, 1), (2, 2), (1, 1)]}), "in two"),
