@@ -132,7 +132,8 @@ def stress_intensity(mesh: MeshArrays, displacement: np.ndarray, data: StressDat
 def _factors(mesh: MeshArrays, tip: Tip, radius: float, gradient: np.ndarray, stress: np.ndarray, fit: np.ndarray,
              lame: float, shear: float) -> list[float]:
     """K_I and K_II with a domain of one radius; tractions on the left face are ``fit`` (3, 2) times powers of r."""
-    kolosov, modulus = (lame + 3 * shear) / (lame + shear), 4 * shear * (lame + shear) / (lame + 2 * shear)
+    ratio = shear / (lame + shear)  # 0 of incompressible bodies
+    kolosov, modulus = 1 + 2 * ratio, 4 * shear / (1 + ratio)
     q = np.clip(2 - 2 * np.abs(tip.local(mesh.points)) / radius, 0, 1)
     ring = np.flatnonzero(np.ptp(q[mesh.elements], axis=1) > 0)
     slopes = displacement_gradient(mesh, np.column_stack([q, q]))[ring, 0] @ tip.axes.T

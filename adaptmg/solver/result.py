@@ -284,8 +284,9 @@ class Result:
             For other than plane problems and cracks; where the mesh is too coarse at the tip.
         """
         data, contact = self._data(), self.contact
-        if self.dim != 2 or data.axisymmetric:
-            raise ValueError("stress_intensity: only plane problems (PlaneStrain, PlaneStress) have K_I and K_II")
+        if self.dim != 2 or data.axisymmetric or data.moduli is not None:
+            raise ValueError("stress_intensity: only plane problems (PlaneStrain, PlaneStress) of isotropic bodies "
+                             "have K_I and K_II here")
         return stress_intensity(self.mesh, self.displacement, data, checks.boundary_name("crack", crack),
                                 checks.integer("tip", tip, 0), radius, contact.node,
                                 np.array(contact.names)[contact.boundary], contact.force / contact.weights[:, None])
