@@ -47,6 +47,7 @@ class Volumes:
     areas: np.ndarray  # (n_groups,): A, m^2 (plane) or m^3
     compliance: np.ndarray  # (n_groups,): 1 / kappa, 1/Pa; 0: incompressible
     modulus: np.ndarray  # (n_groups,): lam_1 + mu, Pa
+    body: np.ndarray  # (n_groups,) int: number of the body that a group belongs to
     corners: np.ndarray  # (n_elements, dim + 1) int32: groups of the corners of elements, -1 for none
     expansion: np.ndarray | float = 0.0  # (n_groups,): mean trace of initial strains
 
@@ -142,7 +143,7 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     means = sparse.csr_array((shares / areas[group], (group, node)), shape=(count, mesh.n_nodes))
     owner, corners = np.empty(count, dtype=np.int64), np.full(mesh.elements.shape, -1, dtype=np.int32)
     owner[group], corners[soft] = body_of, group[cells]
-    return Volumes(rows, means, areas, 1 / kappa[owner], (edge_lame(lame, shear) + shear)[owner], corners)
+    return Volumes(rows, means, areas, 1 / kappa[owner], (edge_lame(lame, shear) + shear)[owner], owner, corners)
 
 
 @kernel

@@ -88,6 +88,7 @@ class TruncatedStep:
         ``safe`` freezes g in the matrices, which keeps them symmetric; a residual above ``trusted`` (N) does the
         same."""
         changed, natural, reactions = self.contact.update_status(self.residual)
+        whole = None if self.pressures is None else self.residual.copy()
         at_contact = self.contact.truncate(self.residual)
         self._restricted = np.empty(self.coarse.n_dofs)
         elsewhere = max(self.level.restrict(self.residual, self._restricted) - at_contact, 0.0)
@@ -106,6 +107,8 @@ class TruncatedStep:
             self.cycle.renew(self.number)
             self._past.clear()
             self._frozen = frozen
+            if self.pressures is not None:
+                self._uniform = [self._of_uniform(whole, one) for one in self.pressures.uniform()]
         return StepState(changed, residual, float(np.sqrt(reactions)), energy)
 
     def correct(self, shorten: bool = False) -> float:
@@ -183,6 +186,13 @@ class TruncatedStep:
             return self._unknowns, self._restricted
         return np.append(self._unknowns, self.pressures.values), np.append(self._restricted, self._missed)
 
+    def _of_uniform(self, residual: np.ndarray, pressures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The pressures, and what they add to the restricted residual and to what volumes miss."""
+        changed, restricted = residual - self.pressures.volumes.forces(pressures), np.empty(self.coarse.n_dofs)
+        self.contact.truncate(changed)
+        self.level.restrict(changed - self.residual, restricted)
+        return pressures, np.append(restricted, -self.pressures.volumes.compliance * pressures)
+
     def _projected_sweeps(self) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
         matrix, c = self.matrix, self.contact
@@ -207,15 +217,18 @@ class TruncatedStep:
         affine in u (3D: nearly). With recombined iterates alone, few are as good as all of them where the problem is
         symmetric; the others keep what Coulomb's law needs."""
         unknowns, load = iterate
-        if self._past:
-            dim, (iterates, residuals) = self.coarse.dim, zip(*self._past, strict=True)
+        uniform = [] if self.pressures is None else self._uniform
+        if self._past or uniform:
+            dim, n = self.coarse.dim, len(self._past)
             d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
             d = d if self.pressures is None else np.append(d, self.pressures.weights)
-            changes = np.array(residuals) - load
+            changes = np.array([residual - load for _, residual in self._past] + [change for _, change in uniform])
             alpha = least_weights(load, changes, d)
-            combined = (1.0 - alpha.sum()) * unknowns
-            for weight, iterate in zip(alpha, iterates, strict=True):
-                combined = linalg.blas.daxpy(iterate, combined, a=weight)  # in place: one pass over long vectors
+            combined = (1.0 - alpha[:n].sum()) * unknowns
+            for weight, (past, _) in zip(alpha, self._past, strict=False):
+                combined = linalg.blas.daxpy(past, combined, a=weight)  # in place: one pass over long vectors
+            for weight, (pressures, _) in zip(alpha[n:], uniform, strict=True):
+                combined[len(self._unknowns):] += weight * pressures
             if self.contact.admits(combined[:len(self._unknowns)]):
                 return combined, load + alpha @ changes
         return unknowns, load

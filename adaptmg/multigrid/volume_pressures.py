@@ -48,6 +48,10 @@ class VolumePressures:
         """What volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed values."""
         return self.volumes.missed(unknowns, self.values) + self._prescribed
 
+    def uniform(self) -> list[np.ndarray]:
+        """For each body the pressures (n_groups,) that are 1 in it."""
+        return [(self.volumes.body == k).astype(float) for k in np.unique(self.volumes.body)]
+
     def forces_missed(self, missed: np.ndarray) -> float:
         """Sum of squares of the same as forces, N^2."""
         forces = self.volumes.scale * missed

@@ -117,6 +117,7 @@ class ActiveSet:
             raise ValueError("nested_start=True: ActiveSet has no nested start for smoothed elements with poisson "
                              "above .4; use FullMultigrid")
         problem, number, pressures, cycles = hierarchy.finest.discrete, len(hierarchy) - 1, run.pressures, 0
+        past: list[tuple[np.ndarray, np.ndarray]] = []
         with run.phase("setup"):
             first = local_system(Augmented(problem, pressures).problem)
         with run.phase("factorise"):
@@ -139,6 +140,7 @@ class ActiveSet:
             pressures = augmented.pressures(start)
             if last:
                 break
+            pressures = augmented.accelerated(pressures, past)
         return Outcome(start, status, cycles, self.rtol, stop.error_estimate, stop.rate, pressures=pressures)
 
 

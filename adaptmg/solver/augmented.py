@@ -20,6 +20,7 @@ from scipy import sparse
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._on_demand import Token
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.multigrid.truncated_step import least_weights
 
 _MOST = 100.0  # c
 
@@ -61,6 +62,16 @@ class Augmented:
     def pressures(self, solved: np.ndarray) -> np.ndarray:
         """The pressures (n_groups,) that belong to a displacement, between bodies relative."""
         return self._offset + self._kappa * self._volumes.strains(solved.reshape(-1))
+
+    def accelerated(self, pressures: np.ndarray, past: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        """What the next solve begins with: the pressures of this one recombined with those of the ``past`` ones. The
+        mean pressure of a body that is enclosed tends to its value with 1 - kappa~ / kappa alone."""
+        past.insert(0, (pressures, pressures - self._before))
+        values, changes = map(np.array, zip(*past[:5], strict=True))
+        if len(values) == 1:
+            return pressures
+        alpha = least_weights(changes[0], changes[1:] - changes[0], self._volumes.areas / self._volumes.modulus)
+        return pressures + alpha @ (values[1:] - pressures)
 
     def missed(self, solved: np.ndarray) -> float:
         """What the volume strains of a displacement and the pressures of this problem miss, relative to these."""

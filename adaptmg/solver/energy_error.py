@@ -37,7 +37,7 @@ from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 _LEAST, _MISSING, _SETTLED = 3, 0.3, 0.7
 #: by how much more than what is negligible an error may be that need not be known better, a step: .6 of rtol after the
 #: second, .9 after the third (seen at most 1.46 and 1.09 times too small)
-_SURER = 3.0
+SURER = 3.0
 #: steps at most, without and with Coulomb friction, which needs all directions
 _MOST, _MOST_COULOMB = 40, 16
 #: a direction whose energy is below this share of what the preconditioner makes of it is a motion that nothing holds
@@ -46,7 +46,7 @@ _FREE = 1e-5
 #: nothing is free
 _SHIFT, _REFINEMENTS, _BALANCED = 1e-14, 4, 1e-6
 #: dofs up to which a factorisation is taken where the steps do not settle, by dimension
-_FACTORISED = {2: 100_000, 3: 30_000}
+FACTORISED = {2: 100_000, 3: 30_000}
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +235,7 @@ def correction(matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenSta
         return HeldCorrection(0.0 if size == 0.0 else np.inf, none, none)
     if aggregates is None:
         return _factorised(matrix, status, residual, rounding)
-    given = residual.copy() if matrix.shape[0] <= _FACTORISED[residual.shape[1]] else None
+    given = residual.copy() if matrix.shape[0] <= FACTORISED[residual.shape[1]] else None
     precondition = Preconditioner(matrix, diagonal, status, aggregates)
     found, settled = _estimated(matrix, status, residual, precondition, negligible)
     return found if settled or given is None else _factorised(matrix, status, given, rounding)
@@ -294,7 +294,7 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
         last, ritz = ritz, np.linalg.svd(basis[:step, :step], compute_uv=False)[-1] ** 2
         whole = max(before + product / ritz, energy)
         left = whole - energy if symmetric else max(whole - energy, abs(energy - before))
-        if step > 1 and whole <= (min(step, _LEAST) * _SURER) ** 2 * negligible:
+        if step > 1 and whole <= (min(step, _LEAST) * SURER) ** 2 * negligible:
             return HeldCorrection(whole, *total), True
         if step >= _LEAST and left <= _MISSING * energy and ritz >= _SETTLED * last:
             return HeldCorrection(whole, *total), True
@@ -314,7 +314,17 @@ def _galerkin(equations: np.ndarray, load: np.ndarray, shares: np.ndarray,
 
 def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndarray, rounding: float
                 ) -> HeldCorrection:
-    n, dim = residual.shape
+    _, _, whole, shift = frozen_matrices(matrix, status)
+    found, balanced = refined(whole, shift, residual.reshape(-1), residual.size, rounding)
+    nodal, image = found.reshape(residual.shape), (matrix @ found).reshape(residual.shape)
+    energy = max(_dot(nodal, image), 0.0) if balanced else float("inf")
+    return HeldCorrection(energy, nodal[status.nodes], image[status.nodes])
+
+
+def frozen_matrices(matrix: sparse.bsr_array, status: FrozenStatus
+                    ) -> tuple[sparse.sparray, sparse.sparray, sparse.sparray, np.ndarray]:
+    """K (I + D), K, the matrix of a status, and what makes it regular where motions are free (n_dofs,)."""
+    n, dim = matrix.shape[0] // matrix.blocksize[0], matrix.blocksize[0]
     eye = np.tile(np.eye(dim), (n, 1, 1))
 
     def by_node(nodes: np.ndarray, blocks: np.ndarray, others: np.ndarray) -> sparse.bsr_array:
@@ -324,21 +334,25 @@ def _factorised(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.nda
 
     keep = by_node(status.held, status.kept, eye)
     stiffening, dragged = (by_node(status.nodes, blocks, 0 * eye) for blocks in (status.stiffening, status.dragged))
-    whole = keep @ (matrix + stiffening) + keep @ dragged @ matrix
+    taken = keep + keep @ dragged
     # what may not move gets a diagonal of the size of the others, and what is free a little
     most, every = np.abs(matrix.diagonal()).max(), sparse.eye_array(matrix.shape[0])
-    whole = sparse.csc_array(whole @ keep + most * (every - keep))
-    factors, found, rest = splu(whole + _SHIFT * most * every), np.zeros(residual.size), residual.reshape(-1)
-    most_left = max(_BALANCED * np.linalg.norm(rest), rounding)
+    whole = (taken @ matrix + keep @ stiffening) @ keep + most * (every - keep)
+    return taken, keep, whole, np.full(matrix.shape[0], _SHIFT * most)
+
+
+def refined(whole: sparse.sparray, shift: np.ndarray, load: np.ndarray, n: int, rounding: float
+            ) -> tuple[np.ndarray, bool]:
+    """The solution for a load by factors of the matrix with a shift, and whether it balances the first n entries."""
+    whole = sparse.csc_array(whole)
+    factors, found, rest = splu(sparse.csc_array(whole + sparse.diags_array(shift))), np.zeros(len(load)), load
+    most_left = max(_BALANCED * np.linalg.norm(load[:n]), rounding)
     for _ in range(_REFINEMENTS):
         found += factors.solve(rest)
-        rest = residual.reshape(-1) - whole @ found
-        if np.linalg.norm(rest) <= most_left:
-            break
-    image = (matrix @ found).reshape(n, dim)
-    nodal = found.reshape(n, dim)
-    energy = max(_dot(nodal, image), 0.0) if np.linalg.norm(rest) <= most_left else float("inf")
-    return HeldCorrection(energy, nodal[status.nodes], image[status.nodes])
+        rest = load - whole @ found
+        if np.linalg.norm(rest[:n]) <= most_left:
+            return found, True
+    return found, False
 
 
 def _add(factor: float, vector: np.ndarray, to: np.ndarray) -> None:

@@ -18,21 +18,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.linalg.blas import daxpy
-from scipy.sparse.linalg import splu
 
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.solver.aggregates import Aggregates
-from adaptmg.solver.energy_error import FrozenStatus, HeldCorrection, Preconditioner
+from adaptmg.solver.energy_error import (
+    FACTORISED,
+    SURER,
+    FrozenStatus,
+    HeldCorrection,
+    Preconditioner,
+    frozen_matrices,
+    refined,
+)
 
 #: least and most steps, and the share of the energy by which each of the last two may have changed it
 _LEAST, _MOST, _SETTLED = 3, 24, 0.1
-#: by how much more than what is negligible an error may be that need not be known better, a step
-_SURER = 3.0
 #: a direction whose energy is below this share after the others are taken off is a motion that nothing holds
 _FREE = 1e-12
-#: dofs up to which a factorisation is taken where the steps do not settle, by dimension
-_FACTORISED = {2: 100_000, 3: 30_000}
-_SHIFT, _REFINEMENTS, _BALANCED = 1e-14, 4, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ def mixed_correction(problem: DiscreteProblem, missed: np.ndarray, diagonal: np.
     if aggregates is not None:
         precondition = Preconditioner(problem.matrix, diagonal, status, aggregates)
         found, settled = _estimated(_Equations(problem, status), precondition, left, residual.shape, negligible)
-        if settled or problem.n_dofs > _FACTORISED[problem.dim]:
+        if settled or problem.n_dofs > FACTORISED[problem.dim]:
             return found
     return _factorised(problem, status, left, rounding)
 
@@ -121,7 +123,7 @@ def _estimated(equations: _Equations, precondition: Preconditioner, load: np.nda
         for share, one in zip(shares, span, strict=True):
             daxpy(one.image, left, a=-share)
         energy = float(shares @ shares)
-        if (min(step, _LEAST) * _SURER) ** 2 * energy <= negligible:
+        if (min(step, _LEAST) * SURER) ** 2 * energy <= negligible:
             return _found(span, shares, energy), True
         if step >= _LEAST and max(abs(energy - last) for last in before) <= _SETTLED * energy:
             return _found(span, shares, energy), True
@@ -135,32 +137,13 @@ def _found(span: list[_Direction], shares: np.ndarray, energy: float) -> HeldCor
 
 
 def _factorised(problem: DiscreteProblem, status: FrozenStatus, load: np.ndarray, rounding: float) -> HeldCorrection:
-    volumes, (n, dim) = problem.volumes, (problem.n_nodes, problem.dim)
-    eye = np.tile(np.eye(dim), (n, 1, 1))
-
-    def by_node(nodes: np.ndarray, blocks: np.ndarray, others: np.ndarray) -> sparse.bsr_array:
-        every = others.copy()
-        every[nodes] = blocks
-        return sparse.bsr_array((every, np.arange(n), np.arange(n + 1)), shape=problem.matrix.shape)
-
-    keep = by_node(status.held, status.kept, eye)
-    stiffening, dragged = (by_node(status.nodes, blocks, 0 * eye) for blocks in (status.stiffening, status.dragged))
-    taken = keep + keep @ dragged
-    most, every = np.abs(problem.matrix.diagonal()).max(), sparse.eye_array(n * dim)
-    upper = (taken @ problem.matrix + keep @ stiffening) @ keep + most * (every - keep) + _SHIFT * most * every
-    soft = sparse.diags_array(volumes.areas * volumes.compliance)
-    whole = sparse.csc_array(sparse.block_array([[upper, taken @ volumes.columns], [-volumes.rows @ keep, soft]]))
-    found, rest, factors = np.zeros(len(load)), load, splu(whole)
-    most_left = max(_BALANCED * np.linalg.norm(load[:n * dim]), rounding)
-    for _ in range(_REFINEMENTS):
-        found += factors.solve(rest)
-        rest = load - whole @ found
-        if np.linalg.norm(rest[:n * dim]) <= most_left:
-            break
-    displacement, pressures = found[:n * dim], found[n * dim:]
-    image = problem.matrix @ displacement
-    energy = max(float(displacement @ image), 0.0) + volumes.energy(pressures)
-    if not np.linalg.norm(rest[:n * dim]) <= most_left:
-        energy = float("inf")
-    forces = (image + volumes.forces(pressures)).reshape(n, dim)
-    return HeldCorrection(energy, displacement.reshape(n, dim)[status.nodes], forces[status.nodes])
+    volumes, n = problem.volumes, problem.n_dofs
+    taken, keep, upper, shift = frozen_matrices(problem.matrix, status)
+    whole = sparse.block_array([[upper, taken @ volumes.columns],
+                                [-volumes.rows @ keep, sparse.diags_array(volumes.areas * volumes.compliance)]])
+    found, balanced = refined(whole, np.append(shift, np.zeros(len(volumes))), load, n, rounding)
+    image, pressures = problem.matrix @ found[:n], found[n:]
+    energy = max(float(found[:n] @ image), 0.0) + volumes.energy(pressures) if balanced else float("inf")
+    nodal, forces = (one.reshape(-1, problem.dim)[status.nodes]
+                     for one in (found[:n], image + volumes.forces(pressures)))
+    return HeldCorrection(energy, nodal, forces)

@@ -198,6 +198,16 @@ def test_cycles_do_not_depend_on_poissons_ratio_and_the_certificate_holds(case, 
         assert 0.3 <= result.checked.energy_error / np.sqrt(error / size) <= 2
 
 
+def test_the_mean_pressure_of_an_enclosed_body_costs_no_cycles():
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=1e6, poisson=0.49), domain=am.Rectangle(width=1.0, height=1.0),
+        elements="smoothed", law=am.Coulomb(0.3),
+        supports=(am.Support("left", x=0.0), am.Support("top", x=0.0, y=-0.01)),
+        contact=(am.Contact("bottom", am.Plane((0, 0), (0, 1))), am.Contact("right", am.Plane((1, 0), (-1, 0)))))
+    result = am.solve(am.Hierarchy.uniform(problem, (4, 8, 16, 32)), am.Multigrid(rtol=1e-7))
+    assert result.contact.closed.all() and not result.fallback and result.cycles <= 20
+
+
 @pytest.mark.parametrize("posed", [(0.4999, am.PlaneStrain, am.Coulomb(0.3), True), (0.5, am.Solid)], ids=str)
 def test_the_certificate_sees_wrong_pressures_and_displacements(posed):
     discrete, result = grids(*posed).finest.discrete, am.solve(grids(*posed), am.ActiveSet())
@@ -280,8 +290,8 @@ test_refusals = refused(
 
 def test_a_problem_of_a_user_has_volumes(tmp_path):
     discrete = grids(0.49).finest.discrete
-    parts = {name: getattr(discrete.volumes, name) for name in ("rows", "means", "areas", "compliance", "modulus",
-                                                                "corners")}
+    names = "rows", "means", "areas", "compliance", "modulus", "body", "corners"
+    parts = {name: getattr(discrete.volumes, name) for name in names}
     own = am.DiscreteProblem(matrix=discrete.matrix, load=discrete.load, fixed=discrete.fixed, law=discrete.law,
                              contact=discrete.contact, fixed_values=discrete.fixed_values,
                              coordinates=discrete.coordinates, volumes=Volumes(**parts))
