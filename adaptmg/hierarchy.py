@@ -319,7 +319,7 @@ class Hierarchy:
         return replace(self, levels=(*self.levels, new), timings=self._with(spent), origin=origin)
 
     @one_blas_thread()
-    def with_problem(self, problem: ContactProblem) -> Self:
+    def with_problem(self, problem: ContactProblem) -> Hierarchy:
         """Return the same meshes with another law, friction, load, material or support.
 
         It is, bit for bit, what :meth:`from_meshes` makes of the same meshes. Of another law, or other loads, matrices

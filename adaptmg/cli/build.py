@@ -86,11 +86,11 @@ def name_of(kind: type) -> str:
 
 
 def _class_of(argument: str, name: Value, kinds: Sequence[type]) -> type:
-    known = {name_of(kind): kind for kind in kinds}
-    if not isinstance(name, str) or name not in known:
-        raise ValueError(f"{argument} must be one of {', '.join(known)}, got {checks.shown(name)}"
-                         f"{checks.suggestion(str(name).lower(), known)}")
-    return known[name]
+    by_name = {name_of(kind): kind for kind in kinds}
+    if not isinstance(name, str) or name not in by_name:
+        raise ValueError(f"{argument} must be one of {', '.join(by_name)}, got {checks.shown(name)}"
+                         f"{checks.suggestion(str(name).lower(), by_name)}")
+    return by_name[name]
 
 
 @cache
@@ -110,19 +110,19 @@ def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) ->
 @cache
 def keys_of(function: Maker) -> dict[str, Key]:
     """Return the keys of a class or function: its arguments, and those of the objects that these may be."""
-    found, nested = {}, {}
+    own, nested = {}, {}
     for name, (item, kinds) in _parameters(function).items():
         if kinds[1:]:
             default = _default_class(name, item, kinds)
-            found[name] = Key(" | ".join(map(name_of, kinds)), name_of(default) if default else "")
+            own[name] = Key(" | ".join(map(name_of, kinds)), name_of(default) if default else "")
         elif not kinds:
-            found[name] = Key(str(item.annotation).removesuffix(" | None"), _default(item.default))
+            own[name] = Key(str(item.annotation).removesuffix(" | None"), _default(item.default))
         for kind in kinds:
             for key, value in keys_of(kind).items():
                 if type(item.default) is kind and hasattr(item.default, key):
                     value = Key(value.values, _default(getattr(item.default, key)))
                 nested.setdefault(f"{name}.{key}" if name in _INNER else key, value)
-    return nested | found
+    return nested | own
 
 
 def _default(value: object) -> str:
@@ -131,53 +131,53 @@ def _default(value: object) -> str:
     return f"{value:g}" if isinstance(value, int | float) else ""
 
 
-def arguments_of(function: Maker, given: Arguments, before: str, what: str) -> Arguments:
-    """Return keyword arguments of a class or function, and remove them from ``given``. In messages keys begin with
+def arguments_of(function: Maker, values: Arguments, before: str, what: str) -> Arguments:
+    """Return keyword arguments of a class or function, and remove them from ``values``. In messages keys begin with
     ``before``, such as "solver.", and ``what`` names the function."""
-    found: Arguments = {}
+    arguments: Arguments = {}
     for name, (_, kinds) in _parameters(function).items():
         # objects take the rest
-        if not kinds and (table := _taken(given, name)):
-            found[name] = _by_level(before + name, table)
-        elif not kinds and name in given:
-            found[name] = given.pop(name)
+        if not kinds and (table := _taken(values, name)):
+            arguments[name] = _by_level(before + name, table)
+        elif not kinds and name in values:
+            arguments[name] = values.pop(name)
     for name, (item, kinds) in _parameters(function).items():
-        if name in _INNER and kinds and (table := _taken(given, name)):
-            found[name] = _made(kinds[0], table, f"{before}{name}.", name)
+        if name in _INNER and kinds and (table := _taken(values, name)):
+            arguments[name] = _made(kinds[0], table, f"{before}{name}.", name)
         elif kinds and name not in _INNER:
-            word = given.pop(name, None)
+            word = values.pop(name, None)
             kind = _default_class(name, item, kinds) if word is None else _class_of(before + name, word, kinds)
-            if kind is not None and (word is not None or set(keys_of(kind)) & set(given)):
-                found[name] = kind(**arguments_of(kind, given, before, f"{before}{name} {name_of(kind)}"))
-        if item.default is item.empty and name not in found:
+            if kind is not None and (word is not None or set(keys_of(kind)) & set(values)):
+                arguments[name] = kind(**arguments_of(kind, values, before, f"{before}{name} {name_of(kind)}"))
+        if item.default is item.empty and name not in arguments:
             raise ValueError(f"{what} needs {before}{name}")
-    return found
+    return arguments
 
 
-def _taken(given: Arguments, name: str) -> Arguments:
-    """Remove the settings of a table from ``given``, and return them."""
-    table = section(given, name)
+def _taken(values: Arguments, name: str) -> Arguments:
+    """Remove the settings of a table from ``values``, and return them."""
+    table = section(values, name)
     for key in table:
-        del given[f"{name}.{key}"]
+        del values[f"{name}.{key}"]
     return table
 
 
-def _made(function: Maker, given: Arguments, before: str, what: str,
+def _made(function: Maker, values: Arguments, before: str, what: str,
          others: Sequence[type] = ()) -> Any:
     """Call a class or function with settings; ValueError for settings that it does not take."""
-    arguments = arguments_of(function, given, before, what)
-    _check_used(given, before, what, keys_of(function), others)
+    arguments = arguments_of(function, values, before, what)
+    _check_used(values, before, what, keys_of(function), others)
     return function(**arguments)
 
 
-def _check_used(given: Settings, before: str, what: str, known: Mapping[str, Key],
+def _check_used(values: Settings, before: str, what: str, keys: Mapping[str, Key],
                 others: Sequence[type] = ()) -> None:
-    for key in given:
+    for key in values:
         owners = [f"{before}{name} {name_of(kind)}" for name, kinds in OBJECTS.items() for kind in kinds
-                  if name in known and key in _parameters(kind)] or [
+                  if name in keys and key in _parameters(kind)] or [
                   name_of(kind) for kind in others if key in keys_of(kind)]
         raise ValueError(f"{before}{key} has no meaning for {what}" + (
-            f": it belongs to {' or '.join(owners)}" if owners else f"; it takes {', '.join(known)}"))
+            f": it belongs to {' or '.join(owners)}" if owners else f"; it takes {', '.join(keys)}"))
 
 
 def _by_level(name: str, table: Arguments) -> Arguments | list[Arguments]:
@@ -190,13 +190,13 @@ def _by_level(name: str, table: Arguments) -> Arguments | list[Arguments]:
     return [dict(zip(table, row, strict=True)) for row in zip(*lists, strict=True)]
 
 
-def problem_of(given: Arguments) -> am.ContactProblem:
+def problem_of(values: Arguments) -> am.ContactProblem:
     """Return the problem of a case with its arguments and elements; friction or limit alone choose the law."""
-    name, elements = given.pop("case"), given.pop("elements", ELEMENTS[0])
+    name, elements = values.pop("case"), values.pop("elements", ELEMENTS[0])
     function = get(name).function
-    if "law" not in given and "law" in _parameters(function) and {"friction", "limit"} & set(given):
-        given["law"] = "coulomb" if "friction" in given else "tresca"
-    return dataclasses.replace(_made(function, given, "case.", f"the case {name}"), elements=elements)
+    if "law" not in values and "law" in _parameters(function) and {"friction", "limit"} & set(values):
+        values["law"] = "coulomb" if "friction" in values else "tresca"
+    return dataclasses.replace(_made(function, values, "case.", f"the case {name}"), elements=elements)
 
 
 @cache
@@ -221,11 +221,11 @@ def case_keys(name: str) -> dict[str, Key]:
 def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Value]:
     """Return the settings that the options of a command give as texts; lists have commas, and whole numbers are floats
     where an argument is one."""
-    known, found = sections() | {"case": case_keys(case) | sections()["case"]}, {"case.case": case}
-    del known["hierarchy" if adaptive else "adapt"]
+    tables, settings = sections() | {"case": case_keys(case) | sections()["case"]}, {"case.case": case}
+    del tables["hierarchy" if adaptive else "adapt"]
     for name, text in texts.items():
         part, _, key = name.partition(".")
-        keys = known.get(part, {})
+        keys = tables.get(part, {})
         # values by name, such as hierarchy.sizes.upper, have a key after the argument
         head = keys.get(key.partition(".")[0], Key(""))
         if not (key in keys or ("." in key and "Mapping" in head.values) or (part == "load_path" and key)):
@@ -234,10 +234,10 @@ def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> d
         value, about = _value_of(text), keys.get(key, Key(""))
         if about.values.startswith("Sequence") and not isinstance(value, tuple):
             value = (value,)
-        found[name] = float(value) if type(value) is int and about.real and abs(value) < 1e300 else value
-    if adaptive and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(found):
-        found["adapt.max_nodes"] = _NODES
-    return found
+        settings[name] = float(value) if type(value) is int and about.real and abs(value) < 1e300 else value
+    if adaptive and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(settings):
+        settings["adapt.max_nodes"] = _NODES
+    return settings
 
 
 def _value_of(text: str) -> Value:
@@ -255,43 +255,43 @@ def _value_of(text: str) -> Value:
 
 def load_path(settings: Settings) -> am.LoadPath | None:
     """Return the load path, if there is one."""
-    given = section(settings, "load_path")
-    return am.LoadPath({key: value for key, value in given.items() if key != "default"},
-                       given.get("default", 1.0)) if given else None
+    factors = section(settings, "load_path")
+    return am.LoadPath({key: value for key, value in factors.items() if key != "default"},
+                       factors.get("default", 1.0)) if factors else None
 
 
-def solver_of(given: Arguments) -> Solver:
+def solver_of(values: Arguments) -> Solver:
     """Return the method; ``max_cycles`` stands for the limit of each."""
-    name = given.pop("method", name_of(am.FullMultigrid))
+    name = values.pop("method", name_of(am.FullMultigrid))
     kind = _class_of("solver.method", name, METHODS)
-    if "max_cycles" in given:
-        given[next(key for key in _parameters(kind) if key.startswith("max_"))] = given.pop("max_cycles")
-    return _made(kind, given, "solver.", f"solver.method {name}", METHODS)
+    if "max_cycles" in values:
+        values[next(key for key in _parameters(kind) if key.startswith("max_"))] = values.pop("max_cycles")
+    return _made(kind, values, "solver.", f"solver.method {name}", METHODS)
 
 
 def adaptation(settings: Settings) -> Arguments:
     """Return the arguments of :func:`adaptmg.adapt` after the problem."""
-    given = section(settings, "adapt")
-    found = arguments_of(am.adapt, given, "adapt.", "[adapt]")
-    _check_used(given, "adapt.", "this loop", keys_of(am.adapt))
+    values = section(settings, "adapt")
+    arguments = arguments_of(am.adapt, values, "adapt.", "[adapt]")
+    _check_used(values, "adapt.", "this loop", keys_of(am.adapt))
     solver = section(settings, "solver")
-    return {**found, "load_path": load_path(settings), "solver": solver_of(solver) if solver else None}
+    return {**arguments, "load_path": load_path(settings), "solver": solver_of(solver) if solver else None}
 
 
-def grids(task: am.ContactProblem, given: Arguments) -> am.Hierarchy:
+def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
     """Return uniform grids, or independent ones where sizes are given."""
-    sized, divided = (any(key.split(".")[0] == name for key in given) for name in ("sizes", "divisions"))
+    sized, divided = (any(key.split(".")[0] == name for key in values) for name in ("sizes", "divisions"))
     if sized and divided:
         raise ValueError("give hierarchy.divisions or hierarchy.sizes, not both")
     blocks = all(isinstance(part, am.Rectangle | am.Box) for part in getattr(task.domain, "parts",
                                                                              {"": task.domain}).values())
     if blocks and not (sized or divided):
-        given = {"divisions": _DIVISIONS[task.dim]} | given
+        values = {"divisions": _DIVISIONS[task.dim]} | values
     uniform = divided or (blocks and not sized)
     constructor = am.Hierarchy.uniform if uniform else am.Hierarchy.graded
     what = "uniform grids (without hierarchy.sizes)" if uniform else "hierarchy.sizes"
-    arguments = arguments_of(constructor, given, "hierarchy.", what)
-    _check_used(given, "hierarchy.", what, keys_of(constructor))
+    arguments = arguments_of(constructor, values, "hierarchy.", what)
+    _check_used(values, "hierarchy.", what, keys_of(constructor))
     return constructor(task, **arguments)
 
 

@@ -41,14 +41,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     texts = list(sys.argv[1:] if arguments is None else arguments)
     with _errors(texts):
         parser = _parser(texts[0] if texts else "")
-        given, unknown = parser.parse_known_args(texts or ["--help"])
+        parsed, unknown = parser.parse_known_args(texts or ["--help"])
         if unknown:
             from adaptmg._checks import suggestion
 
             name = unknown[0].partition("=")[0]
-            raise ValueError(f"there is no option {name}{suggestion(name, given.options)}: 'adaptmg {texts[0]} --help' "
-                             "lists them")
-        raise SystemExit(given.run(given))
+            raise ValueError(f"there is no option {name}{suggestion(name, parsed.options)}: 'adaptmg {texts[0]} "
+                             "--help' lists them")
+        raise SystemExit(parsed.run(parsed))
 
 
 def _parser(command: str) -> _Parser:
@@ -146,45 +146,45 @@ def _add_settings(parser: _Parser, command: str) -> None:
                                    help=f"{about.values}{default}".replace("%", "%%"))
 
 
-def _settings(given: Namespace) -> dict[str, object]:
+def _settings(parsed: Namespace) -> dict[str, object]:
     from adaptmg.cli import build
 
-    texts = {name: text for name, text in vars(given).items() if "." in name}
-    for text in given.set:
+    texts = {name: text for name, text in vars(parsed).items() if "." in name}
+    for text in parsed.set:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not equals or not value:
             raise ValueError(f"--set must be NAME=VALUE, got {printable(ascii(text))}")
         texts[name if name.partition(".")[0] in build.PURPOSE else f"case.{name}"] = value
-    return build.from_texts(given.case, texts, adaptive=given.run is _adapt)
+    return build.from_texts(parsed.case, texts, adaptive=parsed.run is _adapt)
 
 
 def _print_json(value: object) -> None:
     _say(json.dumps(value, indent=2, allow_nan=False))
 
 
-def _cases(given: Namespace) -> None:
+def _cases(parsed: Namespace) -> None:
     from adaptmg.cases import CASES
 
-    if given.case is not None:
+    if parsed.case is not None:
         from adaptmg.cli import build
 
-        _print_json(build.case_facts(given.case)) if given.json else _say(build.about_case(given.case))
-    elif given.json:
+        _print_json(build.case_facts(parsed.case)) if parsed.json else _say(build.about_case(parsed.case))
+    elif parsed.json:
         _print_json([{"name": name, "description": case.description} for name, case in CASES.items()])
     else:
         width = max(map(len, CASES))
         _say("\n".join(f"{name:<{width}}  {case.description}" for name, case in CASES.items()))
 
 
-def _solve(given: Namespace) -> int:
+def _solve(parsed: Namespace) -> int:
     from adaptmg.cli import build, output
 
-    settings, folder = _settings(given), output.folder(given.out)
+    settings, folder = _settings(parsed), output.folder(parsed.out)
     with output.watched() as callback:
         solved = build.solved(settings, callback)
     files = output.write(folder, solved)
     result = solved.result
-    if given.json:
+    if parsed.json:
         _print_json(output.summary(result, files))
     else:
         _say("\n".join([str(solved.grids), "", str(result), *(f"wrote {file}" for file in files)]))
@@ -193,40 +193,40 @@ def _solve(given: Namespace) -> int:
     return int(not result.status.ok)
 
 
-def _adapt(given: Namespace) -> None:
+def _adapt(parsed: Namespace) -> None:
     from adaptmg.cli import build, output
 
-    settings, folder = _settings(given), output.folder(given.out)
+    settings, folder = _settings(parsed), output.folder(parsed.out)
     waiting: list[str] = []
     with output.watched_loop() as progress:
         # lines would run into the bar: they wait until it ends
-        say = waiting.append if given.json or progress is not None else _say
-        solved = build.solved(settings, progress, each=lambda step: say(repr(step)), store=given.store)
+        say = waiting.append if parsed.json or progress is not None else _say
+        solved = build.solved(settings, progress, each=lambda step: say(repr(step)), store=parsed.store)
     files = output.write(folder, solved)
-    if given.json:
+    if parsed.json:
         _print_json(output.loop_summary(solved.steps, files))
     else:
         _say("\n".join([*waiting, solved.steps[-1].outcome, "", str(solved.result),
                         *(f"wrote {file}" for file in files)]))
 
 
-def _study(given: Namespace) -> int:
+def _study(parsed: Namespace) -> int:
     from adaptmg.cli import studies
     from adaptmg.cli.output import logged, printed
 
-    made = studies.study_of(given.file, given.store)
-    if given.dry_run:
-        _print_json(studies.summary(made, False)) if given.json else _say(studies.plan(made))
+    made = studies.study_of(parsed.file, parsed.store)
+    if parsed.dry_run:
+        _print_json(studies.summary(made, False)) if parsed.json else _say(studies.plan(made))
         return 0
-    options = {name: getattr(given, name) for name in ("workers", "scheduler", "limit_s", "memory_limit", "rerun",
+    options = {name: getattr(parsed, name) for name in ("workers", "scheduler", "limit_s", "memory_limit", "rerun",
                                                        "retry_failed")}
     # failures only on a terminal, else a line for each run
-    level = logging.INFO if sys.stderr and not (given.quiet or sys.stderr.isatty()) else logging.WARNING
+    level = logging.INFO if sys.stderr and not (parsed.quiet or sys.stderr.isatty()) else logging.WARNING
     with logged("adaptmg.study", level, logging.StreamHandler()):
-        table = made.run(progress=False if given.quiet else None, **options)
-    if given.json:
+        table = made.run(progress=False if parsed.quiet else None, **options)
+    if parsed.json:
         _print_json(studies.summary(made, True))
-    elif not given.quiet:
+    elif not parsed.quiet:
         text = printed(table.drop(columns="error"), made.parameters, units=studies.units(list(table)))
         _say(f"{text}\n\n{made.status()!r}")
     failed = int((table["status"] == "failed").sum())
@@ -238,29 +238,29 @@ def _study(given: Namespace) -> int:
     return int(bool(failed or missed))
 
 
-def _runs(given: Namespace) -> None:
+def _runs(parsed: Namespace) -> None:
     from adaptmg import _checks as checks
     from adaptmg.cli import studies
     from adaptmg.cli.output import lines, printed, rows
 
-    limit = checks.integer("--limit", given.limit, 1)
-    if given.to is not None:
-        studies.ending(given.to)
-    found = studies.opened(given.store)
-    names = found.studies()
-    if given.study is None and len(names) != 1 and not (given.to or given.where):
-        table = {name: [row[k] for row in found.summaries()]
+    limit = checks.integer("--limit", parsed.limit, 1)
+    if parsed.to is not None:
+        studies.ending(parsed.to)
+    store = studies.opened(parsed.store)
+    names = store.studies()
+    if parsed.study is None and len(names) != 1 and not (parsed.to or parsed.where):
+        table = {name: [row[k] for row in store.summaries()]
                  for k, name in enumerate(("study", "done", "failed", "seconds", "last"))}
-        _say(lines(rows(table)) if given.json else printed(table, ["study"], units={"seconds": "s"}))
+        _say(lines(rows(table)) if parsed.json else printed(table, ["study"], units={"seconds": "s"}))
         return
-    records = found.runs(studies.chosen(found, given.study))
-    table = studies.selected(records, given.where, given.details)
-    if given.to is not None:
-        studies.write(table, given.to)
-        _say(f"wrote {given.to}", err=True)
-    if given.json:
+    records = store.runs(studies.chosen(store, parsed.study))
+    table = studies.selected(records, parsed.where, parsed.details)
+    if parsed.to is not None:
+        studies.write(table, parsed.to)
+        _say(f"wrote {parsed.to}", err=True)
+    if parsed.json:
         _say(lines(rows(table)))
-    elif given.to is None:
+    elif parsed.to is None:
         total = len(table)
         counted = "1 run" if total == 1 else f"{total} runs"
         note = f"... {total - limit} more: --limit, or --to FILE.csv for all" if total > limit else counted
@@ -268,10 +268,10 @@ def _runs(given: Namespace) -> None:
                      note=note))
 
 
-def _report(given: Namespace) -> None:
+def _report(parsed: Namespace) -> None:
     from adaptmg.cli import studies
 
-    page, csv = studies.report(given.store, given.study, given.result, given.to)
+    page, csv = studies.report(parsed.store, parsed.study, parsed.result, parsed.to)
     _say(f"wrote {page} and {csv}", err=True)
 
 

@@ -47,14 +47,14 @@ def study_of(path: Path, store: Path | None) -> Study:
     except Exception as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
     cloudpickle.register_pickle_by_value(module)
-    found = list({id(value): value for value in vars(module).values() if isinstance(value, Study)}.values())
-    if len(found) == 1:
+    studies = list({id(value): value for value in vars(module).values() if isinstance(value, Study)}.values())
+    if len(studies) == 1:
         if store is not None:
             raise ValueError("--store belongs to scripts with run and parameters: this one makes its am.Study itself")
-        return found[0]
+        return studies[0]
     run, parameters = getattr(module, "run", None), getattr(module, "parameters", None)
-    if found or run is None or parameters is None:
-        raise ValueError(f"{file} must make one am.Study, or have run and parameters; it makes {len(found)} studies")
+    if studies or run is None or parameters is None:
+        raise ValueError(f"{file} must make one am.Study, or have run and parameters; it makes {len(studies)} studies")
     return Study(run, parameters, Path("results", f"{file.stem}.sqlite") if store is None else store, name=file.stem,
                  fixed=getattr(module, "fixed", None), depends=getattr(module, "depends", None))
 
@@ -101,9 +101,9 @@ def selected(records: Sequence[Record], where: str = "", details: bool = False) 
     """Return runs of a study as a table, without the parameters that are the same in all of its runs."""
     counts = Counter((key, repr(value)) for record in records for key, value in record.parameters.items())
     varying = list(dict.fromkeys(key for (key, _), count in counts.items() if count < len(records)))
-    found = _matching(records, where) if where else records
+    matching = _matching(records, where) if where else records
     names = varying or list(dict.fromkeys(key for key, _ in counts))
-    return frame(names, [(record.parameters, record, record.status) for record in found], details)
+    return frame(names, [(record.parameters, record, record.status) for record in matching], details)
 
 
 def units(columns: Sequence[str]) -> dict[str, str]:
@@ -167,7 +167,7 @@ def _matching(records: Sequence[Record], where: str) -> list[Record]:
             raise ValueError("it is not true or false for each run")
     except Exception as error:  # parser and columns have their own
         raise ValueError(f"--where {checks.shown(where)}: {error}; the columns are {', '.join(table)}") from error
-    return [record for record, kept in zip(records, holds, strict=True) if kept]
+    return [record for record, matches in zip(records, holds, strict=True) if matches]
 
 
 def ending(path: Path) -> Path:

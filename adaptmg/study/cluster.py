@@ -413,7 +413,7 @@ class _Runs:
         while True:
             self._stop_late()
             try:
-                found = [self._back.get(timeout=min(execute.LOOK_S, (self._limit_s or math.inf) / 10))]
+                results = [self._back.get(timeout=min(execute.LOOK_S, (self._limit_s or math.inf) / 10))]
                 break
             except queue.Empty:
                 if time.monotonic() - begin < PATIENCE_S:
@@ -426,8 +426,8 @@ class _Runs:
             if empty == MOST_TRIES and isinstance(self._client.cluster, LocalCluster):
                 raise OSError(_GONE)
         while not self._back.empty():
-            found.append(self._back.get())
-        return found
+            results.append(self._back.get())
+        return results
 
     def _outcome(self, name: str, result: Finished | BaseException) -> tuple[Point, Finished] | None:
         """Return the outcome of a run; None if it is tried again, or was stopped."""

@@ -44,20 +44,20 @@ class Design:
 
 
 #: what stands for a design
-Given = Design | Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
+DesignLike = Design | Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
 
 
-def as_design(name: str, given: Given) -> Design:
+def as_design(name: str, design: DesignLike) -> Design:
     """Return a design unchanged, a mapping of names to sequences as :class:`Grid`, a list as :class:`Points`."""
-    if isinstance(given, Design):
-        return given
-    if isinstance(given, Mapping) and given:
-        return Grid(given)
-    if isinstance(given, Sequence) and not isinstance(given, str) and given \
-            and all(isinstance(p, Mapping) for p in given[:10]):
-        return Points(given)
+    if isinstance(design, Design):
+        return design
+    if isinstance(design, Mapping) and design:
+        return Grid(design)
+    if isinstance(design, Sequence) and not isinstance(design, str) and design \
+            and all(isinstance(p, Mapping) for p in design[:10]):
+        return Points(design)
     raise TypeError(f"{name} must be a mapping of names to sequences of values, a list of points, or a design "
-                    f"(adaptmg.study.Grid, Points, Random ...), got {checks.described(given)}")
+                    f"(adaptmg.study.Grid, Points, Random ...), got {checks.described(design)}")
 
 
 def _check_length(length: int) -> int:
@@ -69,13 +69,13 @@ def _check_length(length: int) -> int:
     return length
 
 
-def _mapping(name: str, given: object, words: str) -> Mapping[str, object]:
-    if not isinstance(given, Mapping) or not given:
-        raise TypeError(f"{name} must be a mapping of names to {words}, got {checks.shown(given)}")
-    for key in given:
+def _mapping(name: str, mapping: object, words: str) -> Mapping[str, object]:
+    if not isinstance(mapping, Mapping) or not mapping:
+        raise TypeError(f"{name} must be a mapping of names to {words}, got {checks.shown(mapping)}")
+    for key in mapping:
         if not isinstance(key, str):
             raise TypeError(f"the names of parameters must be strings, got {checks.shown(key)}")
-    return given
+    return mapping
 
 
 def _values(name: str, values: object) -> list[Value]:
@@ -109,8 +109,8 @@ class Grid(Design):
     """
 
     def __init__(self, parameters: Mapping[str, Sequence[Value]]) -> None:
-        given = _mapping("parameters", parameters, "sequences of values")
-        self.values = {name: _values(name, values) for name, values in given.items()}
+        mapping = _mapping("parameters", parameters, "sequences of values")
+        self.values = {name: _values(name, values) for name, values in mapping.items()}
         for name, plain in self.values.items():
             if len({canonical({name: value}) for value in plain}) < len(plain):
                 raise ValueError(f"parameters[{name!r}] holds a value twice: {checks.shown(plain)}")
@@ -149,8 +149,8 @@ class Points(Design):
         self._points: list[Point] = []
         seen: dict[str, int] = {}
         for k, point in enumerate(points):
-            given = _mapping(f"points[{k}]", point, "values")
-            plain = {name: parameter_value(name, value) for name, value in given.items()}
+            mapping = _mapping(f"points[{k}]", point, "values")
+            plain = {name: parameter_value(name, value) for name, value in mapping.items()}
             if self._points and set(plain) != set(self._points[0]):
                 raise ValueError(f"points[{k}] has the parameters {', '.join(plain)}, the first "
                                  f"{', '.join(self._points[0])}: give all points the same")
@@ -173,12 +173,12 @@ class _Sample(Points):
 
     def __init__(self, ranges: Mapping[str, Sequence[float]], runs: int, *, seed: int = 0,
                  log: str | Iterable[str] = ()) -> None:
-        given = _mapping("ranges", ranges, "(low, high)")
+        mapping = _mapping("ranges", ranges, "(low, high)")
         count = _check_length(checks.integer("runs", runs, minimum=1))
         logarithmic = set(checks.strings("log", (log,) if isinstance(log, str) else log))
-        if unknown := sorted(logarithmic - set(given)):
-            raise ValueError(f"log names {unknown}, but the ranges are {list(given)}")
-        ends = {name: _ends(name, pair, name in logarithmic) for name, pair in given.items()}
+        if unknown := sorted(logarithmic - set(mapping)):
+            raise ValueError(f"log names {unknown}, but the ranges are {list(mapping)}")
+        ends = {name: _ends(name, pair, name in logarithmic) for name, pair in mapping.items()}
         cube = self._unit_cube(count, len(ends), checks.integer("seed", seed))
         values = [_scaled(u, *pair, name in logarithmic) for u, (name, pair) in zip(cube.T, ends.items(), strict=True)]
         rows = [dict(zip(ends, row, strict=True)) for row in zip(*values, strict=True)]
@@ -189,16 +189,16 @@ class _Sample(Points):
         raise NotImplementedError
 
 
-def _ends(name: str, given: object, logarithmic: bool) -> tuple[float, float]:
-    ends = checks.listed(f"ranges[{name!r}]", cast(Iterable[float], given), "two numbers, (low, high)")
+def _ends(name: str, pair: object, logarithmic: bool) -> tuple[float, float]:
+    ends = checks.listed(f"ranges[{name!r}]", cast(Iterable[float], pair), "two numbers, (low, high)")
     if len(ends) != 2:
-        raise ValueError(f"ranges[{name!r}] must be two numbers, (low, high), got {checks.shown(given)}")
+        raise ValueError(f"ranges[{name!r}] must be two numbers, (low, high), got {checks.shown(pair)}")
     whole = all(isinstance(end, int | np.integer) for end in ends)
     low, high = (checks.number(f"ranges[{name!r}]", end) for end in ends)
     if not low < high:
-        raise ValueError(f"ranges[{name!r}] must go up, got {checks.shown(given)}")
+        raise ValueError(f"ranges[{name!r}] must go up, got {checks.shown(pair)}")
     if logarithmic and (whole or not low > 0):
-        raise ValueError(f"ranges[{name!r}] must be two floats > 0 for a logarithmic scale, got {checks.shown(given)}")
+        raise ValueError(f"ranges[{name!r}] must be two floats > 0 for a logarithmic scale, got {checks.shown(pair)}")
     return (int(low), int(high)) if whole else (low, high)
 
 

@@ -149,8 +149,8 @@ class StudyStatus:
     def __repr__(self) -> str:
         lines = [f"Study {self.name!r}: {self.total} runs: {self.done} done, {self.failed} failed, {self.stale} stale, "
                  f"{self.missing} missing"]
-        for title, found in (("stale", self.reasons), ("failed", self.errors)):
-            ordered = sorted(found.items(), key=lambda item: (-item[1], item[0]))
+        for title, counts in (("stale", self.reasons), ("failed", self.errors)):
+            ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
             lines += [f"  {title}: {text} ({count})" for text, count in ordered[:_MOST]]
             if len(ordered) > _MOST:
                 lines.append(f"  {title}: {len(ordered) - _MOST} more")
@@ -161,7 +161,7 @@ def reasons(stale: Iterable[Record], now: Fingerprint, versions: Mapping[str, st
             origins: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
     """Return why records are stale, with the number of records."""
     kinds = Counter((record.code, tuple(record.versions.items())) for record in stale)
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for (code, stored), count in kinds.items():
         then = dict(stored)
         changes = [f"{name} {then.get(name, 'none')} -> {versions.get(name, 'none')}"
@@ -169,8 +169,8 @@ def reasons(stale: Iterable[Record], now: Fingerprint, versions: Mapping[str, st
         if code != now.code:
             changes += now.differences(origins.get(code, {}))
         for text in changes:
-            found[text] += count
-    return dict(found)
+            counts[text] += count
+    return dict(counts)
 
 
 def frame(names: Sequence[str], rows: Sequence[tuple[Mapping[str, Value], Record | None, str]],

@@ -84,8 +84,8 @@ class Store:
         # transactions: another process that makes the tables is seen before or after, not in between
         with self._connection:
             self._connection.execute("BEGIN")
-            found = self._is_store()
-        if not found:
+            exists = self._is_store()
+        if not exists:
             with self._connection:
                 self._connection.execute("BEGIN IMMEDIATE")
                 if not self._is_store():
@@ -123,10 +123,10 @@ class Store:
 
     def _identity(self) -> tuple[int, int] | None:
         try:
-            found = None if self.path is None else self.path.stat()
+            status = None if self.path is None else self.path.stat()
         except OSError:
             return None
-        return None if found is None else (found.st_dev, found.st_ino)
+        return None if status is None else (status.st_dev, status.st_ino)
 
     def _check_there(self) -> None:
         """SQLite goes on writing into a file that was removed: the path must still name the file that was opened."""
@@ -250,10 +250,10 @@ def _may_live(owner: str) -> bool:
 
 def _row(record: Record) -> tuple[Cell, ...]:
     """Return the columns of a record; a text may hold anything, so it is made printable."""
-    found = {column: getattr(record, name) for column, (name, _) in _COLUMNS.items()}
-    texts = {name: printable(found[name]) for name in ("error", "traceback", "machine")}
-    return tuple((found | texts | {"parameters": canonical(record.parameters)} | {
-        name: json.dumps(found[name]) for name in ("results", "versions", "files")}).values())
+    values = {column: getattr(record, name) for column, (name, _) in _COLUMNS.items()}
+    texts = {name: printable(values[name]) for name in ("error", "traceback", "machine")}
+    return tuple((values | texts | {"parameters": canonical(record.parameters)} | {
+        name: json.dumps(values[name]) for name in ("results", "versions", "files")}).values())
 
 
 def _read(row: Sequence[Cell]) -> Record:

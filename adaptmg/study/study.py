@@ -20,7 +20,7 @@ import pandas as pd
 
 from adaptmg import _checks as checks
 from adaptmg._fingerprint import Fingerprint, environment, fingerprint
-from adaptmg.study.designs import Given, as_design
+from adaptmg.study.designs import DesignLike, as_design
 from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, commit, in_turn, now
 from adaptmg.study.kept_files import Folder
 from adaptmg.study.record import (
@@ -99,7 +99,7 @@ class Study:
     [2.5, 4.5]
     """
 
-    def __init__(self, run: RunFunction, parameters: Given,
+    def __init__(self, run: RunFunction, parameters: DesignLike,
                  store: str | os.PathLike[str] | None = None, *, name: str | None = None,
                  fixed: Mapping[str, Value] | None = None, depends: Mapping[str, object] | None = None) -> None:
         _check_run_function(run)
@@ -174,22 +174,22 @@ class Study:
             checks.integer("workers", workers, minimum=1)
         for name, flag in (("rerun", rerun), ("retry_failed", retry_failed), ("throw", throw)):
             checks.flag(name, flag)
-        found, versions, stored = self._fingerprint(), environment(), self._store.get(self.name)
+        code, versions, stored = self._fingerprint(), environment(), self._store.get(self.name)
         points = self.points()
         todo = [point for point in points
-                if rerun or self._state(stored.get(canonical(point)), found, versions)
+                if rerun or self._state(stored.get(canonical(point)), code, versions)
                 not in (("done",) if retry_failed else ("done", "failed"))]
         todo = in_order(todo, cost, stored)
         _log.info("study %s: %d of %d runs to compute", self.name, len(todo), len(points))
         if todo:
-            task, owner = Task(self._function, found, tuple(self._depends), limit_s), new_owner()
+            task, owner = Task(self._function, code, tuple(self._depends), limit_s), new_owner()
             try:
                 with _executor(workers, scheduler, len(todo), memory) as execute:
-                    self._compute(execute, task, todo, len(points), progress, throw, found, versions, stored, owner)
+                    self._compute(execute, task, todo, len(points), progress, throw, code, versions, stored, owner)
             finally:
                 with contextlib.suppress(OSError, ValueError):  # of a store that has gone, say: what is raised says so
                     self._store.release(owner)
-        return self._table(found, versions, False)
+        return self._table(code, versions, False)
 
     def table(self, details: bool = False) -> pd.DataFrame:
         """Return the runs in the store, without computing any: one row a run in the order of the design.
@@ -202,19 +202,19 @@ class Study:
 
     def status(self) -> StudyStatus:
         """Return how many runs are done, failed, stale and missing, and why runs are stale."""
-        found, versions, stored = self._fingerprint(), environment(), self._store.get(self.name)
+        code, versions, stored = self._fingerprint(), environment(), self._store.get(self.name)
         counts: dict[str, int] = dict.fromkeys(("done", "failed", "stale", "missing"), 0)
         stale, errors = [], {}
         for point in self.points():
             record = stored.get(canonical(point))
-            state = self._state(record, found, versions)
+            state = self._state(record, code, versions)
             counts[state] += 1
             if state == "stale":
                 stale.append(record)
             elif state == "failed" and record is not None:
                 errors[record.error] = errors.get(record.error, 0) + 1
         return StudyStatus(name=self.name, **counts, errors=errors,
-                           reasons=reasons(stale, found, versions, self._store.origins()))
+                           reasons=reasons(stale, code, versions, self._store.origins()))
 
     def load(self, row: int | Mapping[str, Value] | pd.Series, name: str | None = None) -> Kept | dict[str, Kept]:
         """Return the results of a run that are kept as files, by name, or the one called ``name``.
@@ -239,7 +239,7 @@ class Study:
         return self._files.read(record.files[name])
 
     def _compute(self, execute: Execute, task: Task, todo: list[Point], total: int, bar: Progress, throw: bool,
-                 found: Fingerprint, versions: dict[str, str], stored: Mapping[str, Record], owner: str) -> None:
+                 code: Fingerprint, versions: dict[str, str], stored: Mapping[str, Record], owner: str) -> None:
         """Compute runs, and store each when it ends."""
         runs = execute(task, self._claimed(todo, stored, owner))
         try:
@@ -247,8 +247,8 @@ class Study:
                 for number, batch in enumerate(runs):
                     for refused in (outcome for _, outcome in batch if outcome.refused and not number):
                         raise ValueError(f"the run function of study {self.name} cannot be used: {refused.error}")
-                    records = [self._record(point, outcome, found, versions) for point, outcome in batch]
-                    self._store.put_all(self.name, records, found.parts)
+                    records = [self._record(point, outcome, code, versions) for point, outcome in batch]
+                    self._store.put_all(self.name, records, code.parts)
                     for (point, outcome), record in zip(batch, records, strict=True):
                         old = stored.get(canonical(point))
                         self._files.remove({} if old is None else old.files, record.files)
@@ -257,7 +257,7 @@ class Study:
                             raise outcome.exception or RuntimeError(outcome.error)
         finally:
             runs.close()
-            self._warn_of_changes(found)
+            self._warn_of_changes(code)
 
     def _claimed(self, todo: Sequence[Point], stored: Mapping[str, Record], owner: str) -> Iterator[Point | None]:
         """Yield the points that this process claims, None while others compute the rest. What another has stored
@@ -277,10 +277,10 @@ class Study:
                 yield None
             left = held
 
-    def _record(self, point: Point, outcome: Finished, found: Fingerprint, versions: dict[str, str]) -> Record:
+    def _record(self, point: Point, outcome: Finished, code: Fingerprint, versions: dict[str, str]) -> Record:
         files = self._files.write(self.name, canonical(point), outcome.packed)
         return Record(parameters=point, status="failed" if outcome.error else "done", results=outcome.results | files,
-                      error=outcome.error, traceback=outcome.traceback, seconds=outcome.seconds, code=found.code,
+                      error=outcome.error, traceback=outcome.traceback, seconds=outcome.seconds, code=code.code,
                       versions=versions, finished=now(), started=outcome.started, machine=outcome.machine,
                       peak_memory=outcome.peak_memory, tries=outcome.tries, commit=commit(), files=files)
 
@@ -296,16 +296,16 @@ class Study:
                               "stale: a run must not change what it reads; if the results do not depend on it (a "
                               "cache), name it in depends", UserWarning, stacklevel=4)
 
-    def _state(self, record: Record | None, found: Fingerprint, versions: Mapping[str, str]) -> str:
+    def _state(self, record: Record | None, code: Fingerprint, versions: Mapping[str, str]) -> str:
         if record is None:
             return "missing"
-        return record.status if record.code == found.code and record.versions == versions else "stale"
+        return record.status if record.code == code.code and record.versions == versions else "stale"
 
-    def _table(self, found: Fingerprint, versions: dict[str, str], details: bool) -> pd.DataFrame:
+    def _table(self, code: Fingerprint, versions: dict[str, str], details: bool) -> pd.DataFrame:
         stored = self._store.get(self.name)
         records = [(point, stored.get(canonical({**self.fixed, **point}))) for point in self.design.points()]
         table = frame(self.design.names,
-                      [(point, record, self._state(record, found, versions)) for point, record in records], details)
+                      [(point, record, self._state(record, code, versions)) for point, record in records], details)
         table.attrs = {"study": self.name, "fixed": dict(self.fixed)}
         return table
 
@@ -335,12 +335,12 @@ def _check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Val
             raise ValueError(f"parameter {name!r} has the name of a column of the study: rename it")
     if set(names) & set(fixed):
         raise ValueError(f"{sorted(set(names) & set(fixed))} are both in parameters and in fixed")
-    given = [*fixed, *names]
+    arguments = [*fixed, *names]
     try:
-        inspect.signature(run).bind(**dict.fromkeys(given))
+        inspect.signature(run).bind(**dict.fromkeys(arguments))
     except TypeError as error:
         raise TypeError(f"the run function {run.__name__}{inspect.signature(run)} does not take the parameters "
-                        f"{', '.join(given)}: {error}") from None
+                        f"{', '.join(arguments)}: {error}") from None
 
 
 def in_order(points: list[Point], cost: Cost | None, stored: Mapping[str, Record]) -> list[Point]:
@@ -382,8 +382,8 @@ class Watch:
         if self.lines and time.monotonic() - self._last >= _EVERY_S:
             self._last = time.monotonic()
             sys.stderr.write(f"study {self.name}: {self.done} of {self.total} runs, {self.words()}\n")
-        given = ", ".join(f"{name}={value!r}" for name, value in point.items())
-        head = f"study {self.name}: [{self.done}/{self.total}] {given}"
+        parameters = ", ".join(f"{name}={value!r}" for name, value in point.items())
+        head = f"study {self.name}: [{self.done}/{self.total}] {parameters}"
         if outcome.error:
             _log.warning("%s failed: %s", head, outcome.error)
         elif self._show is None and _log.isEnabledFor(logging.INFO):

@@ -56,15 +56,15 @@ def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
 def cells(table: Table, units: Mapping[str, str] | None = None,
           formats: Mapping[str, str] | None = None) -> tuple[list[str], list[list[str]]]:
     """Return headers, and the texts of each column."""
-    units, formats, given = units or {}, formats or {}, list(table.items())
-    names = [name for name, _ in given]
+    units, formats, columns = units or {}, formats or {}, list(table.items())
+    names = [name for name, _ in columns]
     if len(set(names)) < len(names):
         raise ValueError(f"table has columns of the same name: {names}")
     for what, mapping in (("units", units), ("formats", formats)):
         if unknown := sorted(set(mapping) - set(names)):
             raise ValueError(f"{what} names columns the table does not have: {unknown}; it has {names}")
     headers = [f"{_line(name)} [{_line(units[name])}]" if units.get(name) else _line(name) for name in names]
-    return headers, [[_cell(value, formats.get(name)) for value in column] for name, column in given]
+    return headers, [[_cell(value, formats.get(name)) for value in column] for name, column in columns]
 
 
 def _cell(value: object, spec: str | None) -> str:

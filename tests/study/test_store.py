@@ -155,8 +155,10 @@ def test_those_who_share_a_store_compute_each_point_once(tmp_path, rerun):
     if rerun:
         study().run(progress=False)
         done.clear()
+    together = threading.Barrier(3)  # who begins when others have run computes again
     with ThreadPoolExecutor(3) as pool:
-        tables = list(pool.map(lambda one: one.run(progress=False, rerun=rerun), [study() for _ in range(3)]))
+        tables = list(pool.map(lambda one: (together.wait(), one.run(progress=False, rerun=rerun))[1],
+                               [study() for _ in range(3)]))
     assert sorted(done) == list(range(8))
     assert all(table["m"].tolist() == list(range(8)) for table in tables)
 
