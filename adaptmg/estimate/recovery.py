@@ -54,10 +54,11 @@ def recovered_energy(stress: ElementStress, cells: np.ndarray, nodal: np.ndarray
     elements, N m."""
     mesh, squares = stress.mesh, np.empty(len(cells))
     rule, weights = stress.rule(mesh.elements, mesh.volumes)
-    rise = stress.rise(slice(None), mesh.elements, rule) if stress.axisymmetric else np.zeros((0, 0))
+    varies = stress.axisymmetric and not stress.data.smoothed
+    rise = stress.rise(slice(None), mesh.elements, rule) if varies else np.zeros((0, 0))
     if stress.data.moduli is not None:
         difference = rule @ nodal[cells] - stress.values[:, None]
-        if stress.axisymmetric:
+        if varies:
             difference -= rise[:, :, None] * stress.of_hoop[:, None]
         plane = mesh.dim == 2 and not stress.axisymmetric
         return np.einsum("eq,eq->e", weights, stress.data.moduli.work(difference, difference, plane))
