@@ -377,7 +377,7 @@ def test_a_carried_solution_keeps_its_contact_state(case):
     coarse = am.solve(start, am.ActiveSet())
     grown = start.append(am.mesh.graded(problem.domain, 2.2e-3))
     fine = am.solve(grown, am.ActiveSet())
-    carried_up = carried(grown, 1, coarse.displacement)
+    carried_up = carried(grown, 1, coarse).displacement
     discrete = grown.finest.discrete
     assert am.solve(grown, am.Multigrid(rtol=1e-2), start=carried_up).status.ok
     moved = discrete.relative(carried_up)[discrete.contact.nodes]
