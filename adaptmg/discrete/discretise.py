@@ -39,23 +39,23 @@ from adaptmg._on_demand import OnDemand
 from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
 from adaptmg.discrete.elasticity import Materials, body_materials
 from adaptmg.discrete.exchange import ScaledLaw, find_carriers
-from adaptmg.discrete.inclined import HeldNodes, Inclined
+from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
+from adaptmg.discrete.obstacles import TANGENTIAL, Stops, free_normals, in_front_of, may_overlap, with_motions
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.sides import with_sides
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import fixed_dofs, held_directions, inclined_supports, supported_nodes
+from adaptmg.discrete.supports import fixed_dofs, inclined_supports, supported_nodes
 from adaptmg.discrete.ties import tie_interfaces
 from adaptmg.discrete.volumes import Volumes, volume_groups
-from adaptmg.mesh.arrays import MeshArrays, Surface
-from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Law, NodalLaw, check_law
 from adaptmg.problem.load_path import DEFAULT, name_in_path
 from adaptmg.problem.loads import InitialStrain, Preload
-from adaptmg.problem.moving import Moving, Obstacle, Rigid
 from adaptmg.problem.surfaces import ContactPair
 
 _LOG = logging.getLogger(__name__)
@@ -98,14 +98,14 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     fixed, values = fixed_dofs(mesh, problem.supports)
     held = HeldNodes(fixed.reshape(-1, mesh.dim), inclined_supports(mesh, problem.supports))
     ties = tie_interfaces(problem.ties, mesh, held, problem.axisymmetric)
-    contact, weights = _contact(problem, mesh, slip_reference, held, ties)
-    Stops.of(problem, mesh, held).check(values, {})
+    contact, weights, stops = _contact(problem, mesh, slip_reference, held, ties)
     materials = body_materials(mesh, problem.material)
     parts = {"matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
              "load": load_vector(mesh, problem.loads, materials, problem.elements),
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": _nodal_law(problem, mesh, contact),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)), "inclined": held.inclined,
+             "stops": stops,
              "ties": tuple((tie.slave, tie.master, part.nodes)
                            for tie, part in zip(problem.ties, ties, strict=True)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
@@ -215,18 +215,18 @@ def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) ->
 
 
 def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, held: HeldNodes,
-             ties: Sequence[MortarInterface]) -> tuple[ContactNodes, sparse.csr_array | None]:
+             ties: Sequence[MortarInterface]) -> tuple[ContactNodes, sparse.csr_array | None, Stops | None]:
     """Contact nodes and what they face; without slave nodes that should be exchanged for others and cannot."""
     excluded = np.empty(0, dtype=np.int64)
     while True:
-        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded, held=held,
-                                        ties=ties)
+        contact, weights, stops = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded,
+                                               held=held, ties=ties)
         if weights is None:
-            return contact, None
+            return contact, None, stops
         law = _nodal_law(problem, mesh, contact)
         unmatched = find_carriers(contact.nodes, weights, held.fixed.reshape(-1), law, held.inclined)[2]
         if not len(unmatched):
-            return contact, weights
+            return contact, weights, stops
         excluded = np.union1d(excluded, contact.nodes[unmatched])
         _LOG.info("%d slave nodes of %r with a supported tangential component carry no multiplier: the master is too "
                   "coarse there", len(unmatched), problem.name)
@@ -253,14 +253,12 @@ def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.
                              "support or a contact pair, or leave it out")
 
 
-_ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
-
-
 def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
                  excluded: np.ndarray | None = None, held: HeldNodes | None = None,
                  ties: Sequence[MortarInterface] = ()
-                 ) -> tuple[ContactNodes, sparse.csr_array | None]:
-    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow. ``excluded``
+                 ) -> tuple[ContactNodes, sparse.csr_array | None, Stops | None]:
+    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow; and what
+    stops nodes that supports move. ``excluded``
     slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m. Nodes of ``ties`` carry no
     contact."""
     owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
@@ -273,19 +271,21 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
         held = HeldNodes(fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim),
                          inclined_supports(mesh, problem.supports))
     nothing = np.empty(0, dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0)
-    parts = []
+    parts, stops = [], []
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
             mine = surfaces[k].nodes
             normals = slave_normals(surfaces[k], held)[mine]
-            partly = np.linalg.norm(_free_normals(problem, mesh, k, mine, normals, held), axis=1) < 1 - _TANGENTIAL
+            partly = np.linalg.norm(free_normals(problem, mesh, k, mine, normals, held), axis=1) < 1 - TANGENTIAL
             without = np.union1d(mine[owner[mine] != k], mine[partly])
             if excluded is not None:
                 without = np.union1d(without, excluded)
             parts.append(pair_interface(mesh, contact, held=held, excluded=without,
                                         axisymmetric=problem.axisymmetric))
         else:
-            parts.append(_in_front_of(contact, problem, mesh, surfaces, owner, k, held))
+            part, before = in_front_of(contact, problem, mesh, surfaces, owner, k, held)
+            parts.append(part)
+            stops += before
     parts.append(MortarInterface(*nothing))
     boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
     nodes = np.concatenate([part.nodes for part in parts])
@@ -301,32 +301,12 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
                              "boundaries before the other begins")
     if slip_reference is not None:
         slip_reference = check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
-    slip_reference = _with_motions(problem, mesh.points[nodes], boundary, slip_reference)
+    slip_reference = with_motions(problem, mesh.points[nodes], boundary, slip_reference)
     contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
                            slip_reference=slip_reference,
-                           allow_interference=any(map(_may_overlap, problem.contact)),
+                           allow_interference=any(map(may_overlap, problem.contact)),
                            names=problem.contact_boundaries, masters=problem.masters)
-    return contact, _followed([*parts, *ties], mesh.n_nodes)
-
-
-def _may_overlap(contact: Contact | ContactPair) -> bool:
-    return contact.allow_interference or (isinstance(contact, Contact) and isinstance(_first(contact), Moving))
-
-
-def _first(contact: Contact) -> Obstacle:
-    """The obstacle in the place of a discretisation: moved as it is told, not yet pressed."""
-    return contact.obstacle.obstacle if isinstance(contact.obstacle, Rigid) else contact.obstacle
-
-
-def _with_motions(problem: ContactProblem, points: np.ndarray, boundary: np.ndarray, reference: np.ndarray | None
-                  ) -> np.ndarray | None:
-    """The slip reference (n_contact, dim) with how obstacles move, None where nothing does."""
-    for k, contact in enumerate(problem.contact):
-        obstacle = None if isinstance(contact, ContactPair) else _first(contact)
-        if isinstance(obstacle, Moving):
-            reference, own = np.zeros_like(points) if reference is None else reference.copy(), boundary == k
-            reference[own] += obstacle.motion(points[own])
-    return reference
+    return contact, _followed([*parts, *ties], mesh.n_nodes), Stops.together(stops)
 
 
 def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | None:
@@ -340,141 +320,6 @@ def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | 
     return sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
 
 
-def _in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
-                 owner: np.ndarray, k: int, held: HeldNodes) -> MortarInterface:
-    """The nodes that contact boundary k owns, in front of a rigid obstacle. Where a support holds a part of the normal
-    a node goes towards the obstacle along the rest of it; where it holds all of it there is no contact."""
-    nodes = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
-    try:
-        averaged = slave_normals(surfaces[k], held)[nodes]
-    except ValueError as error:
-        raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
-    normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
-    gaps = np.array(gaps, dtype=np.float64)
-    if len(nodes) and gaps.min() < 0:
-        gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
-    if len(nodes) and gaps.min() < 0 and not _may_overlap(contact):
-        deepest = int(np.argmin(gaps))
-        raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
-                         f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
-                         "allow_interference=True for an interference fit")
-    normals, gaps, kept = along_free(_free_normals(problem, mesh, k, nodes, normals, held), normals, gaps)
-    weights = _lumped_masses(problem, surfaces, nodes[kept], k, averaged[kept])
-    return MortarInterface(nodes[kept], normals[kept], weights, gaps[kept])
-
-
-def _lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
-                   ) -> np.ndarray:
-    """Boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
-    weights = np.zeros(len(nodes))
-    for other, mine in enumerate(surfaces):
-        if other != k and isinstance(problem.contact[other], ContactPair):
-            continue
-        for corner, share in zip(mine.facets.T, mine.shares(problem.axisymmetric).T, strict=True):
-            at = np.searchsorted(nodes, corner)
-            here = at < np.searchsorted(nodes, corner, "right")
-            facing = mine.measures[here]
-            if other != k:
-                facing = np.maximum(0.0, np.sum(mine.vectors[here] * normals[at[here]], axis=1))
-            np.add.at(weights, at[here], facing * share[here])
-    return weights
-
-
-def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, normals: np.ndarray
-                    ) -> tuple[np.ndarray, np.ndarray]:
-    """What an obstacle, perhaps user-defined, says of points of a boundary, checked."""
-    answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
-    if not isinstance(answer, (tuple, list)) or len(answer) != 2:
-        raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")
-    directions, gaps = answer
-    if np.shape(directions) != points.shape or np.shape(gaps) != (len(points),):
-        raise ValueError(f"{name} must return normals {points.shape} and gaps ({len(points)},), got "
-                         f"{np.shape(directions)} and {np.shape(gaps)}")
-    directions = check_arrays.array(f"{name}: its normals", directions, points.shape)
-    lengths = np.linalg.norm(directions, axis=1)
-    if len(points) and not np.abs(lengths - 1).max() <= 1e-6:
-        raise ValueError(f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}")
-    return directions, check_arrays.array(f"{name}: its gaps", gaps, (len(points),))
-
-
-def along_free(free: np.ndarray, normals: np.ndarray, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normals (n, dim), gaps (n,) along their free parts (n, dim), and which of these parts do not vanish."""
-    length = np.linalg.norm(free, axis=1)
-    kept, partly = length > _TANGENTIAL, length < 1 - _TANGENTIAL
-    length[~partly | ~kept] = 1.0
-    return np.where((partly & kept)[:, None], free / length[:, None], normals), gaps / length, kept
-
-
-_TANGENTIAL = 1e-8  # a component of a unit normal below this is none
-
-
-def _free_normals(problem: ContactProblem, mesh: MeshArrays, k: int, nodes: np.ndarray, normals: np.ndarray,
-                  held: HeldNodes) -> np.ndarray:
-    """Normals (n, dim) at nodes on contact boundary k without their parts along what supports hold there.
-
-    ValueError if a support on the boundary itself holds a part of them: what is meant is then something else.
-    """
-    boundary = problem.contact[k].boundary
-    own = [one for one in problem.supports if one.boundary == boundary]
-    for name, directions in held_directions(mesh, own).items():
-        if len(nodes) and (np.abs(normals @ directions.T) > _TANGENTIAL).any():
-            i = int(np.argmax(np.abs(normals @ directions.T).max(axis=1)))
-            raise ValueError(f"the support on {name!r} fixes a component with a part normal to contact boundary "
-                             f"{boundary!r}, at node {nodes[i]} {tuple(mesh.points[nodes[i]].tolist())}: contact could "
-                             "never open there; free that component, or name another boundary")
-    return held.free_part(nodes, normals)
-
-
-@dataclass(frozen=True, eq=False)
-class Stops:
-    """Rigid obstacles in front of nodes that a support moves: their motion must end before them."""
-
-    nodes: np.ndarray  # (n,) int
-    normals: np.ndarray  # (n, dim)
-    gaps: np.ndarray  # (n,), m
-    boundary: np.ndarray  # (n,) of str
-    inclined: Inclined | None = None
-
-    @classmethod
-    def of(cls, problem: ContactProblem, mesh: MeshArrays, held: HeldNodes) -> Stops:
-        """The nodes of a mesh of whose normal displacement supports prescribe a part, or all of it. What moves a part
-        may not change the gap."""
-        parts = []
-        for contact in problem.contact:
-            if isinstance(contact, ContactPair) or _may_overlap(contact):
-                continue
-            surface = mesh.surface(contact.boundary)
-            nodes = surface.nodes
-            some = held.fixed[nodes].any(axis=1)
-            if held.inclined is not None:
-                some |= np.isin(nodes, held.inclined.nodes)
-            nodes = nodes[some]
-            if len(nodes):
-                normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes],
-                                        slave_normals(surface, held)[nodes])
-                length = np.linalg.norm(held.free_part(nodes, normals), axis=1)
-                for here, sign in ((length <= _TANGENTIAL, 1.0), *(
-                        ((length > _TANGENTIAL) & (length < 1 - _TANGENTIAL), sign) for sign in (1.0, -1.0))):
-                    own = np.where(length <= _TANGENTIAL, gaps, 0.0)[here]
-                    parts.append((nodes[here], sign * normals[here], own, np.full(here.sum(), contact.boundary)))
-        none = (np.empty(0, dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0, dtype=str))
-        return cls(*(np.concatenate(arrays) for arrays in zip(none, *parts, strict=True)), held.inclined)
-
-    def check(self, values: np.ndarray, factors: Mapping[str, float]) -> None:
-        """ValueError if the prescribed displacement (n_dofs,) of a load step crosses an obstacle."""
-        if not len(self.nodes):
-            return
-        moved = values.reshape(-1, self.normals.shape[1]).copy()
-        if self.inclined is not None:
-            moved[self.inclined.nodes] += self.inclined.prescribed(factors)
-        along = np.einsum("nd,nd->n", self.normals, moved[self.nodes])
-        over = along - self.gaps - _ROUNDING * (np.abs(moved[self.nodes]).max(axis=1) + np.abs(self.gaps))
-        if (over > 0).any():
-            i = int(np.argmax(over))
-            raise ValueError(f"a support moves contact boundary {str(self.boundary[i])!r} {over[i]:.6g} m into its "
-                             f"obstacle at node {self.nodes[i]}: move it less, or the obstacle")
-
-
 @dataclass(frozen=True, eq=False)
 class LoadSteps:
     """Loads and prescribed displacements of one mesh, by the names that a load path knows."""
@@ -486,7 +331,6 @@ class LoadSteps:
     strains: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_elements, 3)
     strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
     mesh: MeshArrays | None = None
-    stops: Stops | None = None
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | None:
         """What the stresses of a step follow from."""
@@ -533,8 +377,6 @@ class LoadSteps:
                                  f"{result[dof]:g} and {scaled[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
                                  "give both the same factors")
             result[dofs], owner[dofs] = scaled, k
-        if self.stops is not None:
-            self.stops.check(result, factors)
         return result
 
 
@@ -555,12 +397,11 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
         dofs = np.flatnonzero(fixed)
         prescribed[name] = dofs, values[dofs]
     return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed,
-                     StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh,
-                     Stops.of(problem, mesh, HeldNodes(discrete.held.reshape(-1, mesh.dim), discrete.inclined)))
+                     StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh)
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:
     """All loads and prescribed displacements of a problem without names, as one."""
     dofs, inclined = np.flatnonzero(discrete.fixed), discrete.inclined
-    load = discrete.load if inclined is None else inclined.given_load(discrete.load)
+    load = discrete.load if inclined is None else inclined.load
     return LoadSteps(discrete.n_dofs, {DEFAULT: load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])})

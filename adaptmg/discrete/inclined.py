@@ -31,7 +31,7 @@ class Inclined:
     moved: Mapping[str, np.ndarray]  # (k, dim) by name in a load path: what supports prescribe, m
     rows: sparse.csr_array = field(default_factory=lambda: sparse.csr_array((0, 0)))  # (k * dim, n_dofs): of A
     stiffness: np.ndarray = field(default_factory=lambda: np.empty(0))  # (k,): D
-    load: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # (k, dim): b
+    load: np.ndarray = field(default_factory=lambda: np.empty(0))  # (n_dofs,): b
 
     def prescribed(self, factors: Mapping[str, float]) -> np.ndarray:
         """The displacement (k, dim) that supports prescribe in a load step, m."""
@@ -65,8 +65,7 @@ class Inclined:
         dofs = (dim * self.nodes[:, None] + np.arange(dim)).reshape(-1)
         rows = sparse.csr_array(sparse.csr_array(matrix)[dofs])
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
-        load = parts["load"].reshape(-1, dim)[self.nodes]
-        this = replace(self, rows=rows, stiffness=stiffness, load=load)
+        this = replace(self, rows=rows, stiffness=stiffness, load=parts["load"])
         prescribed = this.prescribed({})
         return parts | {"matrix": this._eliminated(matrix), "load": this.posed(parts["load"], prescribed),
                         "strain_free": this.strain_free(parts.get("strain_free"), prescribed), "inclined": this}
@@ -91,12 +90,6 @@ class Inclined:
         result[self.nodes] += self.stiffness[:, None] * prescribed - self.along(result)
         return result.reshape(-1)
 
-    def given_load(self, posed: np.ndarray) -> np.ndarray:
-        """The inverse of :meth:`posed` for the whole load of the problem."""
-        result = (posed + self.rows.T @ self.prescribed({}).reshape(-1)).reshape(-1, self.spans.shape[1])
-        result[self.nodes] = self.load
-        return result.reshape(-1)
-
     def strain_free(self, before: tuple[np.ndarray, float] | None, prescribed: np.ndarray
                     ) -> tuple[np.ndarray, float] | None:
         """What makes the energy of A' that of A; see ``DiscreteProblem.stress_energy``."""
@@ -110,10 +103,10 @@ class Inclined:
 
     def reaction(self, unknowns: np.ndarray) -> np.ndarray:
         """Forces (n_dofs,) that the supports exert along these directions, of the unknowns (n_dofs,), N."""
-        result = np.zeros((len(unknowns) // self.spans.shape[1], self.spans.shape[1]))
-        forces = (self.rows @ unknowns).reshape(self.load.shape) - self.load
-        result[self.nodes] = np.einsum("nij,nj->ni", self.spans, forces)
-        return result.reshape(-1)
+        load, result = self.load.reshape(-1, self.spans.shape[1]), np.zeros_like(self.load)
+        forces = (self.rows @ unknowns).reshape(-1, load.shape[1]) - load[self.nodes]
+        result.reshape(load.shape)[self.nodes] = np.einsum("nij,nj->ni", self.spans, forces)
+        return result
 
 
 @dataclass(frozen=True, eq=False)

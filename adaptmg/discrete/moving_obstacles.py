@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.discrete.discretise import along_free, facing_obstacle
 from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.mortar.interface import slave_normals
+from adaptmg.discrete.obstacles import along_free, facing_obstacle
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
@@ -35,7 +35,7 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
         points, boundary = mesh.points[contact.nodes[own]], problem.contact[k].boundary
         outward = slave_normals(mesh.surface(boundary), held)[contact.nodes[own]]
         direct, gap = facing_obstacle(obstacle, boundary, points, outward)
-        normals[own], gaps[own], _ = along_free(held.free_part(contact.nodes[own], direct), direct, gap)
+        normals[own], gaps[own] = along_free(held.free_part(contact.nodes[own], direct), direct, gap)
         reference[own] += obstacle.motion(points) - (before[k].motion(points) if k in before else 0.0)
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _ROUNDING
     new = replace(contact, normals=normals if turned else contact.normals, gaps=gaps, slip_reference=reference,

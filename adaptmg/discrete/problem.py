@@ -40,6 +40,7 @@ from adaptmg.discrete.contact_nodes import (
 from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.exchange import Exchange, exchanged
 from adaptmg.discrete.inclined import Inclined
+from adaptmg.discrete.obstacles import Stops
 from adaptmg.discrete.rigid_modes import rigid_body_modes
 from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import Law, check_law
@@ -82,6 +83,8 @@ class DiscreteProblem(Unknowns):
     ties : tuple of (str, str, (n,) int array)
         Slave and master boundary, and slave nodes whose relative displacement is fixed to zero
         (:mod:`adaptmg.discrete.ties`).
+    stops : Stops, optional
+        Obstacles that what supports prescribe must not cross (:mod:`adaptmg.discrete.obstacles`).
     exchange : Exchange, optional
         Contact as it was posed where slave and master were exchanged at single nodes
         (:mod:`adaptmg.discrete.exchange`).
@@ -115,6 +118,7 @@ class DiscreteProblem(Unknowns):
     strain_free: tuple[np.ndarray, float] | None = None
     inclined: Inclined | None = None
     ties: tuple[tuple[str, str, np.ndarray], ...] = ()
+    stops: Stops | None = None
     volumes: Volumes | None = None
 
     if TYPE_CHECKING:
@@ -139,6 +143,7 @@ class DiscreteProblem(Unknowns):
         result.__dict__.update({one.name: parts.get(one.name, one.default) for one in fields(cls)},
                                matrix=indices_frozen(parts["matrix"]))
         result._complete()
+        result._check_stops({})
         return result
 
     @classmethod
@@ -203,11 +208,21 @@ class DiscreteProblem(Unknowns):
         inclined = self.inclined
         if inclined is not None:
             prescribed = inclined.prescribed(factors or {})
-            inclined = replace(inclined, load=load.reshape(-1, self.dim)[inclined.nodes])
+            inclined = replace(inclined, load=load)
             load, strain_free = inclined.posed(load, prescribed), inclined.strain_free(strain_free, prescribed)
-        return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact,
-                           strain_free=strain_free, inclined=inclined,
-                           volumes=self.volumes if volumes is None else volumes)
+        result = self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact,
+                             strain_free=strain_free, inclined=inclined,
+                             volumes=self.volumes if volumes is None else volumes)
+        result._check_stops(factors or {})
+        return result
+
+    def _check_stops(self, factors: Mapping[str, float]) -> None:
+        """ValueError if what supports prescribe in a load step crosses an obstacle."""
+        if self.stops is not None:
+            moved = self.fixed_values.reshape(-1, self.dim).copy()
+            if self.inclined is not None:
+                moved[self.inclined.nodes] += self.inclined.prescribed(factors)
+            self.stops.check(moved)
 
     def posing(self, **parts: object) -> DiscreteProblem:
         """The same with other parts (load, law, ...), which have been checked."""

@@ -1,0 +1,163 @@
+r"""Contact nodes in front of rigid obstacles, and what supports hold of them.
+
+A support that holds a part of the normal of a node leaves it the rest: with the projection P onto what is free, the
+node goes towards the obstacle along :math:`P n / |P n|`, at the gap :math:`g / |P n|`. Where it holds all of it there
+is no contact; the motion that it prescribes must end before the obstacle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg.discrete.inclined import HeldNodes
+from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
+from adaptmg.discrete.supports import held_directions
+from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.problem.moving import Moving, Obstacle, Rigid
+from adaptmg.problem.surfaces import ContactPair
+
+_ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
+TANGENTIAL = 1e-8  # a component of a unit normal below this is none
+
+
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """Obstacles in front of nodes that supports hold: a support moves none of them through its obstacle."""
+
+    nodes: np.ndarray  # (n,) int
+    normals: np.ndarray  # (n, dim)
+    gaps: np.ndarray  # (n,), m
+    boundary: np.ndarray  # (n,) of str
+
+    @classmethod
+    def together(cls, parts: list[Stops]) -> Stops | None:
+        """Those of several boundaries, None if there is none."""
+        if not any(len(part.nodes) for part in parts):
+            return None
+        return cls(*(np.concatenate([getattr(part, name) for part in parts])
+                     for name in ("nodes", "normals", "gaps", "boundary")))
+
+    def check(self, moved: np.ndarray) -> None:
+        """ValueError if the prescribed part of a displacement (n_nodes, dim) crosses an obstacle."""
+        own = moved[self.nodes]
+        over = np.einsum("nd,nd->n", self.normals, own) - self.gaps
+        over -= _ROUNDING * (np.abs(own).max(axis=1, initial=0.0) + np.abs(self.gaps))
+        if (over > 0).any():
+            i = int(np.argmax(over))
+            raise ValueError(f"a support moves contact boundary {str(self.boundary[i])!r} {over[i]:.6g} m into its "
+                             f"obstacle at node {self.nodes[i]}: move it less, or the obstacle")
+
+
+def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
+                owner: np.ndarray, k: int, held: HeldNodes) -> tuple[MortarInterface, list[Stops]]:
+    """The nodes that contact boundary k owns, in front of a rigid obstacle, and those that supports hold there."""
+    nodes = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
+    try:
+        averaged = slave_normals(surfaces[k], held)[nodes]
+    except ValueError as error:
+        raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
+    normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
+    gaps = np.array(gaps, dtype=np.float64)
+    if len(nodes) and gaps.min() < 0:
+        gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
+    if len(nodes) and gaps.min() < 0 and not may_overlap(contact):
+        deepest = int(np.argmin(gaps))
+        raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
+                         f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
+                         "allow_interference=True for an interference fit")
+    free = free_normals(problem, mesh, k, nodes, normals, held)
+    length = np.linalg.norm(free, axis=1)
+    kept, partly = length > TANGENTIAL, length < 1 - TANGENTIAL
+    partly &= kept
+    # where a part of the normal is held a motion along it, either way, would change the gap
+    cases = () if may_overlap(contact) else ((~kept, 1, gaps), (partly, 1, 0 * gaps), (partly, -1, 0 * gaps))
+    stops = [Stops(nodes[here], sign * normals[here], far[here], np.full(here.sum(), contact.boundary))
+             for here, sign, far in cases]
+    normals, gaps = along_free(free, normals, gaps)
+    weights = _lumped_masses(problem, surfaces, nodes[kept], k, averaged[kept])
+    return MortarInterface(nodes[kept], normals[kept], weights, gaps[kept]), stops
+
+
+def _lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
+                   ) -> np.ndarray:
+    """Boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
+    weights = np.zeros(len(nodes))
+    for other, mine in enumerate(surfaces):
+        if other != k and isinstance(problem.contact[other], ContactPair):
+            continue
+        for corner, share in zip(mine.facets.T, mine.shares(problem.axisymmetric).T, strict=True):
+            at = np.searchsorted(nodes, corner)
+            here = at < np.searchsorted(nodes, corner, "right")
+            facing = mine.measures[here]
+            if other != k:
+                facing = np.maximum(0.0, np.sum(mine.vectors[here] * normals[at[here]], axis=1))
+            np.add.at(weights, at[here], facing * share[here])
+    return weights
+
+
+def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, normals: np.ndarray
+                    ) -> tuple[np.ndarray, np.ndarray]:
+    """What an obstacle, perhaps user-defined, says of points of a boundary, checked."""
+    answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
+    if not isinstance(answer, (tuple, list)) or len(answer) != 2:
+        raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")
+    directions, gaps = answer
+    if np.shape(directions) != points.shape or np.shape(gaps) != (len(points),):
+        raise ValueError(f"{name} must return normals {points.shape} and gaps ({len(points)},), got "
+                         f"{np.shape(directions)} and {np.shape(gaps)}")
+    directions = check_arrays.array(f"{name}: its normals", directions, points.shape)
+    lengths = np.linalg.norm(directions, axis=1)
+    if len(points) and not np.abs(lengths - 1).max() <= 1e-6:
+        raise ValueError(f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}")
+    return directions, check_arrays.array(f"{name}: its gaps", gaps, (len(points),))
+
+
+def along_free(free: np.ndarray, normals: np.ndarray, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (n, dim) and gaps (n,) along the free parts (n, dim) of the normals, unchanged where these vanish."""
+    length = np.linalg.norm(free, axis=1)
+    length[(length <= TANGENTIAL) | (length >= 1 - TANGENTIAL)] = 1.0
+    return np.where((length < 1)[:, None], free / length[:, None], normals), gaps / length
+
+
+def free_normals(problem: ContactProblem, mesh: MeshArrays, k: int, nodes: np.ndarray, normals: np.ndarray,
+                 held: HeldNodes) -> np.ndarray:
+    """Normals (n, dim) at nodes on contact boundary k without their parts along what supports hold there.
+
+    ValueError if a support on the boundary itself holds a part of them: what is meant is then something else.
+    """
+    boundary = problem.contact[k].boundary
+    own = [one for one in problem.supports if one.boundary == boundary]
+    for name, directions in held_directions(mesh, own).items():
+        clash = np.abs(normals @ directions.T).max(axis=1) > TANGENTIAL
+        if clash.any():
+            i = int(np.argmax(clash))
+            raise ValueError(f"the support on {name!r} fixes a component with a part normal to contact boundary "
+                             f"{boundary!r}, at node {nodes[i]} {tuple(mesh.points[nodes[i]].tolist())}: contact could "
+                             "never open there; free that component, or name another boundary")
+    return held.free_part(nodes, normals)
+
+
+def may_overlap(contact: Contact | ContactPair) -> bool:
+    """Whether initial gaps may be negative."""
+    return contact.allow_interference or (isinstance(contact, Contact) and isinstance(_first(contact), Moving))
+
+
+def _first(contact: Contact) -> Obstacle:
+    """The obstacle in the place of a discretisation: moved as it is told, not yet pressed."""
+    return contact.obstacle.obstacle if isinstance(contact.obstacle, Rigid) else contact.obstacle
+
+
+def with_motions(problem: ContactProblem, points: np.ndarray, boundary: np.ndarray, reference: np.ndarray | None
+                  ) -> np.ndarray | None:
+    """The slip reference (n_contact, dim) with how obstacles move, None where nothing does."""
+    for k, contact in enumerate(problem.contact):
+        obstacle = None if isinstance(contact, ContactPair) else _first(contact)
+        if isinstance(obstacle, Moving):
+            reference, own = np.zeros_like(points) if reference is None else reference.copy(), boundary == k
+            reference[own] += obstacle.motion(points[own])
+    return reference
