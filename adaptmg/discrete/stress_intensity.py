@@ -32,8 +32,8 @@ _RADII, _OF_CRACK, _OF_REST = (0.7, 0.8, 0.9, 1.0), 0.45, 0.95
 _ELEMENTS = 5
 #: the part of the radius next to the tip where tractions are not fitted
 _NEAR = 0.15
-#: of the cosine of the angle between facets that count as straight
-_STRAIGHT = 1e-6
+#: a crack counts as straight while its direction differs from that at the tip by less than 5 degrees
+_STRAIGHT = np.cos(np.radians(5.0))
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Tip:
     place: np.ndarray  # (2,)
     axes: np.ndarray  # (2, 2)
     upper: str  # the face on the left
-    straight: float  # length of the crack up to a kink, or its end, m
+    straight: float  # to where the crack turns, or ends, m
 
     def local(self, points: np.ndarray) -> np.ndarray:
         """Places (...,) of points (..., 2) as complex numbers."""
@@ -89,7 +89,7 @@ def tip_of(mesh: MeshArrays, crack: str, number: int) -> Tip:
     along /= np.linalg.norm(along)
     while last in following:  # a path passes each node once
         step = mesh.points[last] - mesh.points[following[last]]
-        if step @ along < (1 - _STRAIGHT) * np.linalg.norm(step):
+        if step @ along < _STRAIGHT * np.linalg.norm(step):
             break
         last = following[last]
     return Tip(place, np.array([along, [-along[1], along[0]]]), f"{crack}.{side}",
@@ -104,12 +104,12 @@ def stress_intensity(mesh: MeshArrays, displacement: np.ndarray, data: StressDat
     r = np.abs(tip.local(mesh.points))
     # what is not the straight crack stays outside
     other = ~np.isin(mesh.facet_labels, list(map(mesh.boundaries.index, faces)))
-    other |= (r[mesh.facets] > tip.straight * (1 + _STRAIGHT)).any(axis=1)
+    other |= (r[mesh.facets] > tip.straight * (1 + 1e-9)).any(axis=1)
     largest = min(_OF_CRACK * tip.straight, _OF_REST * float(r[mesh.facets[other]].min(initial=np.inf)))
     outer = largest if radius is None else checks.positive("radius", radius)
     if not outer <= largest:
-        raise ValueError(f"radius must be at most {largest:.3g} m at this tip (a kink, the other tip or another "
-                         f"boundary is near), got {radius!r}")
+        raise ValueError(f"radius must be at most {largest:.3g} m at this tip (a turn of the crack, the other tip "
+                         f"or another boundary is near), got {radius!r}")
     ring = np.abs(r[mesh.elements].mean(axis=1) / outer - 0.6) < 0.4
     size = float(np.median(np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring]))) if ring.any() else np.inf
     if not outer >= _ELEMENTS * size:

@@ -265,8 +265,8 @@ class Result:
     def stress_intensity(self, crack: str, tip: int = 0, *, radius: float | None = None) -> StressIntensity:
         """Return the stress intensity factors at a tip of a plane crack, by the interaction integral.
 
-        Contact forces on the faces are counted, loads on them and in the body are not. The faces are straight near the
-        tip, the body is of one material there.
+        Contact forces on the faces are counted, loads on them and in the body are not. Within the radius the body is of
+        one material, and the crack turns by less than 5 degrees.
 
         Parameters
         ----------
@@ -275,8 +275,8 @@ class Result:
         tip : int
             0 where the path begins if that is in the body, else where it ends; 1 where it ends.
         radius : float, optional
-            Largest radius of the domain of integration, m, of five elements at least. Default: what a kink, the other
-            tip (.45 of the crack's length) and other boundaries leave.
+            Largest radius of the domain of integration, m, of five elements at least. Default: what a turn of the
+            crack, the other tip (.45 of the length up to there) and other boundaries leave.
 
         Raises
         ------

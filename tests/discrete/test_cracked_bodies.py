@@ -72,6 +72,19 @@ def test_stress_intensity_factors_are_those_of_an_infinite_plate():
         replace(result, stress_data=StressData.of(result.mesh, layered)).stress_intensity("crack")
 
 
+def test_factors_of_an_arc_are_those_of_muskhelishvili():
+    half_angle = np.pi / 6
+    angles = np.linspace(-half_angle, half_angle, 65)
+    problem = squeezed(np.random.default_rng(), {"arc": np.column_stack([np.sin(angles), np.cos(angles)])}, half=15)
+    problem = replace(problem, loads=tuple(am.Pressure(name, -P) for name in "abcd"))
+    *_, last = am.adapt(problem, max_nodes=5000)
+    expected = P * np.sqrt(np.pi * np.sin(half_angle)) / (1 + np.sin(half_angle / 2) ** 2)
+    for tip, sign in ((0, 1), (1, -1)):
+        found = last.result.stress_intensity("arc", tip)
+        assert found.K_I / expected == pytest.approx(np.cos(half_angle / 2), abs=0.015)
+        assert sign * found.K_II / expected == pytest.approx(np.sin(half_angle / 2), abs=0.015)
+
+
 def test_a_bond_that_sticks_is_as_if_glued():
     whole = am.mesh.structured(am.Rectangle(width=1, height=1), 8)
     upper = whole.points[whole.elements].mean(axis=1)[:, 1] > 0.5
