@@ -82,9 +82,10 @@ class ContactProblem:
         matrix with about twice the entries in the plane, three times in space; as many cycles in 1 to 2.7 times the
         seconds. Smoothed elements pay in bending (two elements across a cantilever have .92 of the deflection, linear
         ones .52), for displacements and forces on uniform and adapted meshes (errors 2 to 20 times smaller), and for
-        stresses (1.5 times). They do not pay for where contact ends, and peaks of pressure. For
-        Poisson's ratios above .4, up to .5 itself, they do not lock: mean volume strains over groups of nodes are part
-        of the energy (:mod:`adaptmg.discrete.volumes`), and ``Result.pressures`` of the solution.
+        stresses (1.5 times). They do not pay for where contact ends, and peaks of pressure. For Poisson's ratios above
+        .4, up to .5 itself, they do not lock: mean volume strains over groups of nodes are part of the energy
+        (:mod:`adaptmg.discrete.volumes`), and ``Result.pressures`` of the solution. :class:`adaptmg.Goal` and
+        references of :func:`adaptmg.estimate.energy_error` need linear ones.
     name : str
         For tables and pictures.
     reference : mapping
