@@ -8,7 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import step_assembly
 from gmsh_file import write
+from netgen.occ import Box, Cylinder, Pnt, Z
 
 import adaptmg as am
 
@@ -67,9 +69,12 @@ def test_examples_of_the_readme_run(tmp_path, monkeypatch):
 
 
 def given(tmp_path):
-    """What the pages of the documentation take as known: a matrix from another code, gmsh files, a result."""
+    """What the pages of the documentation take as known: a matrix from another code, files of meshes, an assembly."""
     problem = am.cases.greco_bar()
     meshes = [am.mesh.structured(problem.domain, n) for n in (16, 32)]
+    shapes = {"base": Box(Pnt(0, 0, 0), Pnt(30, 20, 8)), "pad": Cylinder(Pnt(0, 0, 0), Z, 5, 6)}
+    step_assembly.write(tmp_path / "press.step", shapes,
+                        [("base", "base:1", (0, 0, 0)), ("pad", "left", (8, 10, 8)), ("pad", "right", (22, 10, 8))])
     fine = am.discretise(problem, meshes[1])
     for name, mesh in zip(("coarse", "fine"), meshes, strict=True):
         write(tmp_path / f"{name}.msh", replace(mesh, bodies=("bar",), source=None), keep=slice(0, 3, 2))
