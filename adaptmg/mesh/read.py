@@ -1,9 +1,8 @@
 """Meshes from files and from NGSolve: ``from_file``, ``from_ngsolve``, ``as_mesh``.
 
-Files of Gmsh and decks of Abaqus and CalculiX are read here (:mod:`adaptmg.mesh.gmsh`, :mod:`adaptmg.mesh.deck`).
-Netgen reads its own (.vol, .vol.gz), and meshio all others, both in the process of :mod:`adaptmg.mesh.netgen_guard`
-with limits of time and memory: damaged numbers may lead a reader anywhere. What comes back is checked like every other
-mesh.
+Files of Gmsh and decks of Abaqus and CalculiX are read by :mod:`adaptmg.mesh.files`. Netgen reads its own (.vol,
+.vol.gz), and meshio all others, both in the process of :mod:`adaptmg.mesh.netgen_guard` with limits of time and memory:
+damaged numbers may lead a reader anywhere. What comes back is checked like every other mesh.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ from adaptmg._files import file_size, read_bytes, waiting_folder
 from adaptmg._on_demand import OnDemand
 from adaptmg._text import printable, shortened
 from adaptmg.mesh.arrays import MeshArrays, normalised
-from adaptmg.mesh.contents import Contents, mesh_of
-from adaptmg.mesh.deck import read_deck
-from adaptmg.mesh.gmsh import read_gmsh
+from adaptmg.mesh.files.contents import Contents, mesh_of
+from adaptmg.mesh.files.deck import read_deck
+from adaptmg.mesh.files.gmsh import read_gmsh
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
 from adaptmg.mesh.soundness import check_mesh, check_stranger
 

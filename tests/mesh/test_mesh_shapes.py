@@ -8,8 +8,8 @@ import pytest
 import adaptmg as am
 from adaptmg.export import mesh as write_mesh
 from adaptmg.mesh import from_file, merged, structured
-from adaptmg.mesh.contents import Contents, mesh_of
-from adaptmg.mesh.shapes import KINDS, dimension, facets_of, middles, simplices
+from adaptmg.mesh.files.contents import Contents, mesh_of
+from adaptmg.mesh.files.shapes import KINDS, dimension, facets_of, middles, simplices
 
 CORNERS = {"triangle": [(0, 0), (1, 0), (0, 1)], "quad": [(0, 0), (1, 0), (1, 1), (0, 1)],
            "tetra": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)],

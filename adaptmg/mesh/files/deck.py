@@ -19,8 +19,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg._files import file_size, read_bytes
-from adaptmg.mesh.contents import Contents
-from adaptmg.mesh.shapes import KINDS, dimension, facets_of, kind_of
+from adaptmg.mesh.files.contents import Contents
+from adaptmg.mesh.files.shapes import KINDS, dimension, facets_of, kind_of
 
 #: beginnings of the names of element types, and shapes by the number of nodes that follows
 _TYPES = (
@@ -214,7 +214,7 @@ class _Deck:
             if "GENERATE" in block.parameters and words:
                 first, last, *step = map(int, words[:3])
                 step = step[0] if step else 1
-                if step < 1 or not 0 <= last - first <= 10**8:
+                if step < 1 or not 0 <= last - first <= 10**7:
                     raise ValueError(f"numbers {first} to {last} by {step} cannot be generated")
                 own.append(np.arange(first, last + 1, step, dtype=np.int64) + offset)
                 continue

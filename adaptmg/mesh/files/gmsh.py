@@ -13,8 +13,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from adaptmg.mesh.contents import Contents
-from adaptmg.mesh.shapes import KINDS, dimension
+from adaptmg.mesh.files.contents import Contents
+from adaptmg.mesh.files.shapes import KINDS, dimension
 
 _KINDS = {1: "line", 2: "triangle", 3: "quad", 4: "tetra", 5: "hexahedron", 6: "wedge", 7: "pyramid", 8: "line3",
           9: "triangle6", 10: "quad9", 11: "tetra10", 12: "hexahedron27", 13: "wedge18", 14: "pyramid14", 15: "vertex",

@@ -1,8 +1,8 @@
 """Contents: what a mesh file holds, in the form that all readers hand over; made into a checked mesh here.
 
-Cells are cut into simplices (:mod:`adaptmg.mesh.shapes`). Boundaries come from faces that the file names, and from sets
-of nodes that hold whole facets of the boundary. A facet has one name: faces come before sets of nodes, small ones
-before large ones, unless the caller gives the order. A body is one piece: the pieces of a name are numbered.
+Cells are cut into simplices (:mod:`adaptmg.mesh.files.shapes`). Boundaries come from faces that the file names, and
+from sets of nodes that hold whole facets of the boundary. A facet has one name: faces come before sets of nodes, small
+ones before large ones, unless the caller gives the order. A body is one piece: the pieces of a name are numbered.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import FacetTable, MeshArrays, components, facet_keys, facet_table, normalised, signed_measures
-from adaptmg.mesh.shapes import KINDS, around_centres, cut_note, dimension, middles, simplices
+from adaptmg.mesh.files.shapes import KINDS, around_centres, cut_note, dimension, middles, simplices
 from adaptmg.mesh.soundness import check_stranger
 
 _FLAT = 1e-9

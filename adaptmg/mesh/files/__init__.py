@@ -1,0 +1,1 @@
+"""Readers of mesh files, and what they read made into meshes."""
