@@ -202,7 +202,7 @@ def test_parts_are_placed_as_often_as_they_have_instances(tmp_path):
     ("*Node, nset", "*Node, system=C, nset", r"line 4: \*NODE: nodes and elements that the solver generates or moves"),
     ("*Element, type=CPS4", "*Element, type=C3D4", "element of type C3D4R? has|tetrahedra|elements name|degenerate"),
     ("7, 1, 2,", "7, 1, 99,", "nodes that it does not hold, such as 99"), ("Low, S3", "Low, S5", "face S5 of 4-node"),
-    ("Low, S3", "Lower, S3", r"line 24: \*SURFACE: there is no set 'Lower'"),
+    ("Low, S3", "Lower, S3", r"line 24: \*SURFACE: there is no set 'LOWER'"),
     ("2, 10, 0", "2, ten, 0", r"line 4: \*NODE: could not convert"), ("*Node, nset=Nall", "",
       "nodes that it does not hold, such as 1"),
     ("8, 11, 12, 13, 14", "8, 11, 12, 13", "has a number and 4 nodes")])

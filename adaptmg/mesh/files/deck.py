@@ -35,7 +35,8 @@ _BRICK_27 = (*range(20), 26, 24, 25, 22, 21, 23, 20)
 _GENERATED = ("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM")
 _NOT_READ = ("BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TIE", "EQUATION", "MPC", "RIGID BODY", "COUPLING", "TRANSFORM",
              "PRE-TENSION SECTION", "TEMPERATURE", "CLEARANCE", "CONTACT INTERFERENCE")
-_MOST_FILES = 100
+_SETS = {"NSET": "node", "ELSET": "element"}
+_MOST_FILES, _MOST_GENERATED = 100, 10**7
 #: numbers of nodes and elements are smaller; the k-th instance has them this times k higher
 _INSTANCE = 10**12
 
@@ -59,31 +60,34 @@ class _Block:
 
 @dataclass
 class _Part:
-    """Nodes, elements, sets and surfaces of a part, or of a whole deck; names in capitals."""
+    """Nodes, elements and sets of a part, or of a whole deck. A set has a kind (node, element or surface) and a name in
+    capitals; its rows are a number and, of surfaces, a facet of that element (0: all)."""
 
     numbers: list[np.ndarray] = field(default_factory=list)
     points: list[np.ndarray] = field(default_factory=list)
     elements: list[tuple[str, np.ndarray, np.ndarray, str]] = field(default_factory=list)  # type, numbers, nodes, set
-    node_sets: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    element_sets: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    surfaces: dict[str, list[tuple[np.ndarray, int]]] = field(default_factory=dict)  # elements, their facet (0: all)
-    sections: list[np.ndarray] = field(default_factory=list)
+    sets: dict[tuple[str, str], list[np.ndarray]] = field(default_factory=dict)
+    sections: list[str] = field(default_factory=list)  # sets of elements
 
     def place(self, other: _Part, offset: int, instance: str, move: np.ndarray, shift: np.ndarray) -> None:
         """Add another part, moved and with other numbers; names that are taken get that of the instance."""
+        named = {key: (key[0], f"{instance}_{key[1]}") if key in self.sets else key for key in other.sets}
         self.numbers += [numbers + offset for numbers in other.numbers]
         self.points += [points @ move.T + shift for points in other.points]
-        self.elements += [(kind, numbers + offset, nodes + offset, name) for kind, numbers, nodes, name
-                          in other.elements]
-        named = {name: f"{instance}_{name}" if name in self.element_sets else name for name in other.element_sets}
-        self.sections += [named.get(name, name) for name in other.sections]
-        self.element_sets |= {named[name]: [numbers + offset for numbers in parts]
-                              for name, parts in other.element_sets.items()}
-        self.node_sets |= {f"{instance}_{name}" if name in self.node_sets else name:
-                           [numbers + offset for numbers in parts] for name, parts in other.node_sets.items()}
-        self.surfaces |= {f"{instance}_{name}" if name in self.surfaces else name:
-                          [(numbers + offset, facet) for numbers, facet in parts]
-                          for name, parts in other.surfaces.items()}
+        self.elements += [(kind, numbers + offset, nodes + offset, name)
+                          for kind, numbers, nodes, name in other.elements]
+        self.sets |= {named[key]: [rows + np.array((offset, 0)) for rows in parts] for key, parts in other.sets.items()}
+        self.sections += [named.get(("element", name), ("", name))[1] for name in other.sections]
+
+    def add(self, kind: str, name: str, numbers: np.ndarray, facet: int = 0) -> None:
+        """Put numbers into a set, which is made where it is missing."""
+        self.sets.setdefault((kind, name), []).append(np.column_stack([numbers, np.full(len(numbers), facet)]))
+
+    def members(self, kind: str, name: str) -> np.ndarray:
+        """The rows (n, 2) of a set; ValueError if there is none."""
+        if (kind, name) not in self.sets:
+            raise ValueError(f"there is no set {name!r}")
+        return np.concatenate(self.sets[kind, name])
 
 
 class _Deck:
@@ -94,7 +98,7 @@ class _Deck:
         self.current, self.material, self.interaction = self.root, "", ""
         self.spelling: dict[str, str] = {}
         self.not_read: dict[str, None] = {}
-        self.surfaces: set[str] = set()
+        self.nodal: set[str] = set()
         self.files = 0
 
     def read_file(self, path: Path) -> None:
@@ -167,8 +171,8 @@ class _Deck:
             move = Rotation.from_rotvec(np.radians(lines[1][6]) * axis / max(np.linalg.norm(axis), 1e-300)).as_matrix()
             shift = move @ (shift - foot) + foot
         self.offsets[name] = (len(self.offsets) + 1) * _INSTANCE
-        self.spelling |= {f"{name}_{one}": f"{self._spelt(name)}_{self._spelt(one)}" for held in (
-            self.parts[part].node_sets, self.parts[part].element_sets, self.parts[part].surfaces) for one in held}
+        self.spelling |= {f"{name}_{one}": f"{self._spelt(name)}_{self._spelt(one)}"
+                          for _, one in self.parts[part].sets}
         self.root.place(self.parts[part], self.offsets[name], name, move, shift)
 
     def _nodes(self, block: _Block) -> None:
@@ -177,19 +181,13 @@ class _Deck:
         self.current.numbers.append(numbers)
         self.current.points.append(table.reshape(-1, 4)[:, 1:])
         if name := block.parameters.get("NSET"):
-            self.current.node_sets.setdefault(name, []).append(numbers)
+            self.current.add("node", name, numbers)
 
     def _elements(self, block: _Block) -> None:
         kind, name = block.parameters.get("TYPE", ""), block.parameters.get("ELSET", "")
-        if name:
-            self.current.element_sets.setdefault(name, [])
-        if _kind(kind) is None:
-            # how many numbers an element has is not known
-            empty = np.empty(0, dtype=np.int64)
-            self.current.elements.append((kind, empty, empty[:, None], ""))
-            return
-        width, rows = 1 + KINDS[_kind(kind)][1], []
-        for line in block.data:
+        # of unknown types it is not known how many numbers an element has
+        width, rows = 1 + KINDS[_kind(kind) or "vertex"][1], []
+        for line in block.data if _kind(kind) else ():
             words = [int(word) for word in line.split(",") if word.strip()]
             if rows and len(rows[-1]) < width:
                 rows[-1] += words
@@ -201,48 +199,40 @@ class _Deck:
         table = _counted(np.array([row[:width] for row in rows], dtype=np.int64).reshape(-1, width))
         self.current.elements.append((kind, table[:, 0], table[:, 1:], name))
         if name:
-            self.current.element_sets[name].append(table[:, 0])
+            self.current.add("element", name, table[:, 0])
 
     def _set(self, block: _Block) -> None:
-        key = block.keyword
-        sets = self.current.node_sets if key == "NSET" else self.current.element_sets
-        offset = self.offsets.get(block.parameters.get("INSTANCE", ""), 0)
-        own = sets.setdefault(block.parameters.get(key, ""), [])
-        single: list[int] = []
+        part, kind, name = self.current, _SETS[block.keyword], block.parameters.get(block.keyword, "")
+        offset, numbers = self.offsets.get(block.parameters.get("INSTANCE", ""), 0), []
         for row in block.rows():
             words = [word for word in row if word]
             if "GENERATE" in block.parameters and words:
-                first, last, *step = map(int, words[:3])
-                step = step[0] if step else 1
-                if step < 1 or not 0 <= last - first <= 10**7:
+                first, last, step = map(int, [*words, "1"][:3])
+                if step < 1 or not 0 <= last - first <= _MOST_GENERATED:
                     raise ValueError(f"numbers {first} to {last} by {step} cannot be generated")
-                own.append(np.arange(first, last + 1, step, dtype=np.int64) + offset)
+                part.add(kind, name, np.arange(first, last + 1, step) + offset)
                 continue
             for word in words:
                 if word.lstrip("+-").isdigit():
-                    single.append(int(word))
-                else:
-                    own += list(sets.get(word.strip('"').upper(), []))
-        own.append(_counted(np.array(single, dtype=np.int64)) + offset)
+                    numbers.append(int(word))
+                elif (kind, word.strip('"').upper()) in part.sets:
+                    part.sets.setdefault((kind, name), []).append(part.members(kind, word.strip('"').upper()))
+        part.add(kind, name, _counted(np.array(numbers, dtype=np.int64)) + offset)
 
     def _surface(self, block: _Block) -> None:
         name, part = block.parameters.get("NAME", ""), self.current
         nodal = block.parameters.get("TYPE", "ELEMENT") == "NODE"
+        kind = "node" if nodal else "element"
         offset = self.offsets.get(block.parameters.get("INSTANCE", ""), 0)
         for word, *rest in block.rows():
-            sets = part.node_sets if nodal else part.element_sets
-            if word.isdigit():
-                numbers = [_counted(np.array([int(word)])) + offset]
-            elif (numbers := sets.get(word.strip('"').upper())) is None:
-                raise ValueError(f"there is no set {word!r}")
-            if nodal:
-                part.node_sets.setdefault(name, []).extend(numbers)
-                self.surfaces.add(name)
-                continue
-            facet = re.fullmatch(r"[SE](\d)|SPOS|SNEG|", "".join(rest[:1]).upper())
+            numbers = (_counted(np.array([int(word)])) + offset if word.isdigit() else
+                       part.members(kind, word.strip('"').upper())[:, 0])
+            facet = re.fullmatch(r"[SE](\d)|SPOS|SNEG|", "" if nodal else "".join(rest[:1]).upper())
             if facet is None:
                 raise ValueError(f"a face is S1 to S6, got {rest[0]!r}")
-            part.surfaces.setdefault(name, []).extend((one, int(facet[1] or 0)) for one in numbers)
+            part.add("node" if nodal else "surface", name, numbers, int(facet[1] or 0))
+        if nodal:
+            self.nodal.add(self._spelt(name))
 
     def _section(self, block: _Block) -> None:
         name = block.parameters.get("ELSET", "")
@@ -291,25 +281,27 @@ class _Deck:
         if dim < 2:
             raise ValueError(f"it holds elements of the types {', '.join(used + left) or 'none'}; solid or plane ones "
                              "are needed (C3D8, C3D10, CPE4, CPS6, CAX8, ...)")
-        contents = Contents(points, [], [], notes=notes, surfaces=set(map(self._spelt, self.surfaces)))
+        contents = Contents(points, [], [], notes=notes, surfaces=self.nodal)
         solid = [block for block in blocks if dimension(block[0]) == dim]
-        sets = {name: np.unique(np.concatenate(parts)) for name, parts in root.element_sets.items() if parts}
+        sets = {name: np.unique(root.members(kind, name)[:, 0]) for kind, name in root.sets if kind == "element"}
         piece, contents.bodies = _pieces(solid, sets, root.sections, len(points))
         contents.bodies = [self._spelt(name) for name in contents.bodies]
         ends = np.cumsum([len(elements) for _, elements, *_ in solid])[:-1]
         contents.cells = [(kind, nodes, own)
                           for (kind, _, nodes, _), own in zip(solid, np.split(piece, ends), strict=True)]
-        for name, parts in root.surfaces.items():
-            contents.faces[self._spelt(name)] = [face for elements, facet in parts
-                                                 for face in _faces(solid, elements, facet)]
         for name, members in sets.items():
             sheets = [(kind, nodes[np.isin(elements, members)]) for kind, elements, nodes, _ in blocks
                       if dimension(kind) == dim - 1]
             if any(len(nodes) for _, nodes in sheets):
                 contents.faces.setdefault(self._spelt(name), []).extend(sheets)
-        for name, parts in root.node_sets.items():
-            members = np.unique(np.concatenate([numbers[:0], *parts]))
-            contents.node_sets[self._spelt(name)] = np.flatnonzero(np.isin(numbers, members, assume_unique=True))
+        for kind, name in root.sets:
+            rows = root.members(kind, name)
+            if kind == "node":
+                contents.node_sets[self._spelt(name)] = np.flatnonzero(np.isin(numbers, rows[:, 0]))
+            elif kind == "surface":
+                contents.faces.setdefault(self._spelt(name), []).extend(
+                    face for facet in np.unique(rows[:, 1]).tolist()
+                    for face in _faces(solid, rows[rows[:, 1] == facet, 0], facet))
         return contents
 
 
