@@ -70,7 +70,7 @@ def run(meshes: str, most: int) -> dict:
 
 def slide(friction: float, most: int) -> dict:
     """Factors with one friction on the last adaptive mesh."""
-    *_, last = am.adapt(problem("straight", friction), max_nodes=most)
+    *_, last = am.adapt(problem("straight", friction), engine=am.Remesh(), max_nodes=most)
     return factors(last.result, friction)
 
 

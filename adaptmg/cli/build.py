@@ -40,7 +40,7 @@ OBJECTS: dict[str, tuple[type, ...]] = {
     "cycle": (am.Cycle,), "smoother": (am.ProjectedGaussSeidel,),
     "correction": (am.Truncated, am.Monotone, am.PaperCorrection), "linear": (am.Direct, am.AMG),
     "indicator": (am.Residual, am.Recovery, am.Goal), "mark": (am.Doerfler, am.Maximum),
-    "engine": (am.Remesh, am.Bisect),
+    "engine": (am.Bisect, am.Remesh),
     "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening),
     "coarse": (am.CoarseSolve,), "start": (am.NestedStart,)}
 #: arguments whose fields are written with a point

@@ -21,7 +21,6 @@ from adaptmg._text import say
 from adaptmg.estimate.bisect import Bisect
 from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
 from adaptmg.estimate.loop import AdaptiveLoop, Parts, Progress
-from adaptmg.estimate.remesh import Remesh
 from adaptmg.estimate.residual import Residual
 from adaptmg.estimate.step import LOOP_KINDS, Engine, Limits, Step, loop_fingerprint, sound_mesh
 from adaptmg.hierarchy import Hierarchy
@@ -66,7 +65,7 @@ def adapt(problem: ContactProblem,
     mark : Doerfler, Maximum or an object with ``mark(estimate) -> mask of elements``, optional
         Default ``Doerfler()``.
     engine : Remesh, Bisect or an object with ``refine(problem, mesh, estimate, marked, max_nodes=None)``, optional
-        See :class:`adaptmg.estimate.step.Engine`. Default ``Remesh()``; ``Bisect()`` for a problem without a domain.
+        See :class:`adaptmg.estimate.step.Engine`. Default ``Bisect()``.
     tolerance : float, optional
         Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity; and :attr:`Step.settled`,
         or on two meshes in a row).
@@ -113,8 +112,7 @@ def adapt(problem: ContactProblem,
     if tolerance is None and max_nodes is None and max_seconds is None:
         max_nodes = _NODES
     limits = Limits(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds)
-    if engine is None:
-        engine = Bisect() if problem.domain is None else Remesh()
+    engine = Bisect() if engine is None else engine
     parts = Parts(Residual() if indicator is None else indicator, Doerfler() if mark is None else mark, engine,
                   solver, load_path, adapt_on)
     _check(parts)

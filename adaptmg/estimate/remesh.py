@@ -52,6 +52,10 @@ _EDGES = 4
 class Remesh:
     """Remeshing by a size field, an engine of :func:`adaptmg.adapt`.
 
+    It takes 1.1 to 3.5 times the seconds of :class:`Bisect` to the same estimate: a third goes into meshing, and
+    Galerkin matrices of independent meshes are denser. It pays where nodes are dear (a fifth fewer at strong
+    singularities), where the first mesh is too fine somewhere, and where cycles count (a third fewer).
+
     Parameters
     ----------
     growth : float

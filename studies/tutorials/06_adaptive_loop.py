@@ -19,5 +19,5 @@ print(steps[-1].outcome)
 am.plot.adaptation(steps)
 
 # %%
-# **Next:** ``engine=am.Bisect()`` bisects marked elements, ``indicator=am.Recovery()`` is a sharper estimate,
+# **Next:** ``engine=am.Remesh()`` makes new meshes, ``indicator=am.Recovery()`` is a sharper estimate,
 # ``tolerance=`` ends the loop at an error. **It depends on** the bar in ten lines; :doc:`/theory/estimators_and_goals`.
