@@ -7,20 +7,21 @@ the largest at the points A to E, or at A, against the converged values; of Hert
 friction .3) the mean displacement of the top; of the beam (20 : 1, over a stop) the mean displacement of its top,
 against a mesh twice as fine as the last; of the roller (half a cylinder of rubber, Poisson's ratio .4999, squeezed) its
 force, against a family that ends at 70 931 nodes. Seconds: of making all matrices and transfers and of solving; meshes
-are not counted.
+are not counted, but in the table of Hertz contact, which sets meshes of am.Hierarchy.graded next to those of am.adapt.
 
 Other programs were run once on the same problems, with friction as here, on one thread; their seconds are stored in
 this script. Those of CalculiX are of the whole process.
 """
 
+import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pandas as pd
-from common import Output, cpu, drawing, main, warm_up
+from common import Output, cpu, drawing, main, processor_time, slope, warm_up
 from flexible import cantilever
 
 import adaptmg as am
@@ -41,14 +42,25 @@ PEERS = pd.DataFrame([
     ("GRECO block 3D", 1.5e-3, "CalculiX 2.20", 18.6)], columns=["case", "error", "program", "seconds"])
 
 
-def half_cylinder(radius: float, material: am.PlaneStrain, law: am.Coulomb | am.Frictionless,
+def half_cylinder(radius: float, reach: float, material: am.PlaneStrain, law: am.Coulomb | am.Frictionless,
                   loads: tuple[am.Pressure, ...], *supports: am.Support) -> am.ContactProblem:
-    """Half of the lower half of a cylinder on a rigid plane."""
-    domain = am.Outline(vertices=((0.0, 0.0), (radius, radius), (0.0, radius)), boundaries=("round", "top", "axis"),
-                        arcs={0: (0.0, radius)})
+    """Half of the lower half of a cylinder, on a rigid plane, which it may touch up to x = reach."""
+    center, side = (0.0, radius), (reach, radius - float(np.sqrt(radius**2 - reach**2)))
+    domain = am.Outline(vertices=((0.0, 0.0), side, (radius, radius), center),
+                        boundaries=("round", "side", "top", "axis"), arcs={0: center, 1: center})
     return am.ContactProblem(name="half a cylinder", domain=domain, material=material, law=law, loads=loads,
-                             contact=am.Contact("round", am.Plane((0.0, 0.0), (0.0, 1.0))),
+                             contact=am.Contact("round", am.Plane((0.0, 0.0), (0.0, 1.0)), allow_interference=True),
                              supports=(am.Support("axis", x=0.0), *supports))
+
+
+#: half-widths of contact are .53 mm here and 2.6 mm of the roller
+HERTZ = half_cylinder(0.05, 2.6e-3, am.PlaneStrain(young=2.1e11, poisson=0.3), am.Coulomb(0.3),
+                      (am.Pressure("top", 0.5e6 / 0.05),))
+
+
+def graded(problem: am.ContactProblem, count: int) -> am.Hierarchy:
+    """The hierarchy of the cylinder, everywhere halved from level to level."""
+    return am.Hierarchy.graded(problem, [12.5e-3 / 2**k for k in range(count)], contact_ratio=64)
 
 
 def sized(problem: am.ContactProblem, size: float, count: int) -> list[am.MeshArrays]:
@@ -75,6 +87,39 @@ def at_points(result: am.Result, problem: am.ContactProblem) -> float:
     return float(np.abs(result.probe(points)[:, 0] / exact - 1).max())
 
 
+def deflection_error(result: am.Result) -> float:
+    """The relative error of the cylinder's deflection."""
+    return abs(mean_on(result, "top", 1) / HERTZ_TOP - 1)
+
+
+def cylinders(meshes: str, most: int) -> Iterator[tuple[am.Result, float]]:
+    """Yield results of the cylinder and processor seconds up to them."""
+    spent, begin = 0.0, processor_time()
+    if meshes == "adapted":
+        for step in am.adapt(HERTZ, max_nodes=most):
+            spent += processor_time() - begin
+            yield step.result, spent
+            begin = processor_time()        # measuring errors is not part of the loop
+        return
+    for count in range(2, 6):
+        begin = processor_time()
+        result = am.solve(graded(replace(HERTZ, elements=meshes.removeprefix("graded, ")), count),
+                          am.FullMultigrid(rtol=1e-6))
+        yield result, processor_time() - begin
+        if len(result.displacement) > most:
+            return
+
+
+def hertz(meshes: str, most: int) -> dict:
+    """Nodes, errors and seconds of a family, as JSON."""
+    warm_up()
+    rows = [[{"nodes": len(result.displacement), "error": deflection_error(result), "seconds": seconds}
+             for result, seconds in cylinders(meshes, most)] for _ in range(2)]
+    # the lesser of two runs: the first one also loads kernels
+    return {"rows": json.dumps([one | {"seconds": min(one["seconds"], other["seconds"])}
+                                for one, other in zip(*rows, strict=True)])}
+
+
 @lru_cache(maxsize=8)
 def family(case: str, count: int) -> tuple[am.ContactProblem, list[am.MeshArrays], Callable[[am.Result], float]]:
     """Problem, meshes from coarse to fine, and the error of a result."""
@@ -86,11 +131,9 @@ def family(case: str, count: int) -> tuple[am.ContactProblem, list[am.MeshArrays
         meshes = [am.mesh.structured(problem.domain, first * 2**k) for k in range(count)]
         return problem, meshes, lambda result: at_points(result, problem)
     if case == "Hertz":
-        problem = half_cylinder(0.05, am.PlaneStrain(young=2.1e11, poisson=0.3), am.Coulomb(0.3),
-                                (am.Pressure("top", 0.5e6 / 0.05),))
-        return problem, sized(problem, 2e-4, count), lambda result: abs(mean_on(result, "top", 1) / HERTZ_TOP - 1)
+        return HERTZ, [level.mesh for level in graded(HERTZ, count)], deflection_error
     if case == "roller":
-        problem = half_cylinder(0.025, am.PlaneStrain(young=3e6, poisson=0.4999), am.Frictionless(), (),
+        problem = half_cylinder(0.025, 6e-3, am.PlaneStrain(young=3e6, poisson=0.4999), am.Frictionless(), (),
                                 am.Support("top", y=-0.35e-3))
         return problem, sized(problem, 1.6e-3, count), lambda result: abs(
             result.resultant().force[1] / ROLLER - 1)
@@ -150,22 +193,45 @@ def study(out: Output) -> None:
         rows.append(peer | {f"{elements} {what}": reached(of, peer["error"], what) if len(of) else float("nan")
                             for elements, of in own.items() for what in ("nodes", "seconds")})
     out.table("peers", pd.DataFrame(rows), "Seconds of other programs to an error, and of this one",
-              "Their seconds are those of one run, of CalculiX with its start.", units={"seconds": "s"},
+              "Their seconds are those of one run, of CalculiX with its start. Empty where all meshes here are better, or "
+              "none.", units={"seconds": "s"},
               formats={"error": ".1e", "seconds": ".3g", "linear nodes": ".0f", "smoothed nodes": ".0f",
                        "linear seconds": ".3g", "smoothed seconds": ".3g"})
-    figure, ax = drawing()
-    for case, of in table.groupby("case", sort=False):
-        line, = ax.loglog(*of[of["elements"] == "smoothed"][["nodes", "error"]].to_numpy().T, "o-", label=case)
-        ax.loglog(*of[of["elements"] == "linear"][["nodes", "error"]].to_numpy().T, "s:", color=line.get_color())
-    ax.set(xlabel="nodes", ylabel="relative error")
-    figure.legend(loc="outside right upper")
-    out.figure("errors", figure, "Errors of smoothed (solid) and linear elements (dotted) against the nodes")
+    figure, _ = drawing()
+    figure.clear()
+    for ax, what in zip(figure.subplots(1, 2, sharey=True), ("nodes", "seconds"), strict=True):
+        for case, of in table.groupby("case", sort=False):
+            line, = ax.loglog(*of[of["elements"] == "smoothed"][[what, "error"]].to_numpy().T, "o-", label=case)
+            ax.loglog(*of[of["elements"] == "linear"][[what, "error"]].to_numpy().T, "s:", color=line.get_color())
+        ax.set(xlabel=what, ylabel="relative error" if what == "nodes" else "")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right upper")
+    out.figure("errors", figure, "Errors of smoothed (solid) and linear elements (dotted) against nodes and seconds")
+    contact(out)
     last = table.groupby(["case", "elements"]).last()["error"].unstack()
     gains = last["linear"] / last["smoothed"]
     out.number("Error of linear over smoothed elements on the finest meshes: " + ", ".join(gains.index),
                "; ".join(f"{value:.1f}" for value in gains))
     out.check("error of the GRECO bar with smoothed elements on the finest mesh", last["smoothed"]["GRECO bar"],
               high=2e-3 if out.quick else 2e-4)
+
+
+def contact(out: Output) -> None:
+    """Hertz contact on graded and on adaptive meshes."""
+    kinds = ["graded, linear", "graded, smoothed", "adapted"]
+    found = am.Study(hertz, {"meshes": kinds}, out.store, name="meshes of Hertz", fixed={
+        "most": 1500 if out.quick else 15_000}).run(throw=True)
+    of = {kind: pd.DataFrame(json.loads(rows)) for kind, rows in zip(found["meshes"], found["rows"], strict=True)}
+    out.table("hertz", pd.concat([rows.assign(meshes=kind) for kind, rows in of.items()])[
+        ["meshes", "nodes", "error", "seconds"]], "Hertz: error of the deflection, meshes counted in the seconds",
+        "Adapted: linear elements.", units={"seconds": "s"}, formats={"error": ".1e", "seconds": ".3f"})
+    if not out.quick:
+        # the coarsest of a family may be better than that
+        least = {kind: pd.concat([rows.head(1).assign(error=max(1e-3, rows["error"][0])), rows])
+                 for kind, rows in of.items()}
+        out.number(f"Hertz contact to .1 %, nodes and seconds with meshes: {'; '.join(kinds)}", "; ".join(
+            f"{reached(rows, 1e-3, 'nodes'):.0f}, {reached(rows, 1e-3, 'seconds'):.2f} s" for rows in least.values()))
+        out.check("exponent of nodes in the error of adaptive meshes", slope(
+            of["adapted"]["nodes"].iloc[2:], of["adapted"]["error"].iloc[2:]), high=-0.8)
 
 
 if __name__ == "__main__":
