@@ -193,7 +193,7 @@ def study(out: Output) -> None:
         rows.append(peer | {f"{elements} {what}": reached(of, peer["error"], what) if len(of) else float("nan")
                             for elements, of in own.items() for what in ("nodes", "seconds")})
     out.table("peers", pd.DataFrame(rows), "Seconds of other programs to an error, and of this one",
-              "Their seconds are those of one run, of CalculiX with its start. Empty where all meshes here are better, or "
+              "Their seconds are those of one run, of CalculiX with its start. Empty where all meshes are better, or "
               "none.", units={"seconds": "s"},
               formats={"error": ".1e", "seconds": ".3g", "linear nodes": ".0f", "smoothed nodes": ".0f",
                        "linear seconds": ".3g", "smoothed seconds": ".3g"})
