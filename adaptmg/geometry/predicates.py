@@ -22,13 +22,14 @@ _TERMS = 256
 
 @inner_kernel
 def turn(points, a, b, c):
-    """Positive where c lies to the left of the line from a to b, zero on it."""
+    """Positive where c lies to the left of the line from a to b, zero on it. Nodes are int64, here and below: kernels
+    are compiled again for other integers."""
     left = (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1])
     right = (points[b, 1] - points[a, 1]) * (points[c, 0] - points[a, 0])
     value = left - right
     if abs(value) > _TURN * (abs(left) + abs(right)):
         return value
-    return _exact(points, np.int64(a), np.int64(b), np.int64(c), np.int64(-1))
+    return _exact(points, a, b, c, np.int64(-1))
 
 
 @inner_kernel
@@ -42,7 +43,7 @@ def in_circle(points, a, b, c, d):
     x, y, z, w, p, q, r, s = abs(x), abs(y), abs(z), abs(w), abs(p), abs(q), abs(r), abs(s)
     if abs(value) > _CIRCLE * ((p * s + q * r) * (x * z + y * w) + (x * w + y * z) * (p * r + q * s)):
         return value
-    return _exact(points, np.int64(a), np.int64(b), np.int64(c), np.int64(d))
+    return _exact(points, a, b, c, d)
 
 
 @inner_kernel
@@ -81,7 +82,7 @@ def _add_product(terms, n, factors, sign, work):
     """Add a signed product of factors, each of two terms, to the sum of n terms; returns how many they are then."""
     work[0, 0], count = sign, 1
     for f in factors:
-        size = 0
+        size = np.int64(0)
         for i in range(count):
             for value in f:
                 product, error = _product(work[0, i], value)
@@ -97,7 +98,7 @@ def _add_product(terms, n, factors, sign, work):
 @inner_kernel
 def _exact(points, a, b, c, d):
     """The value of ``in_circle``, or for d < 0 of ``turn``, with the right sign."""
-    terms, work, factors, n = np.empty(8 * _TERMS), np.empty((2, _TERMS)), np.empty((4, 2)), 0
+    terms, work, factors, n = np.empty(8 * _TERMS), np.empty((2, _TERMS)), np.empty((4, 2)), np.int64(0)
     sides = np.empty((2, 2, 2, 2))  # from a and from d to b and to c, component, terms
     for k in range(2):
         for i in range(2):

@@ -67,7 +67,7 @@ def walk(points, elements, across, e, p):
     for _ in range(len(elements)):
         worst, side = 0.0, -1
         for k in range(3):
-            away = turn(points, elements[e, (k + 1) % 3], elements[e, (k + 2) % 3], p)
+            away = turn(points, np.int64(elements[e, (k + 1) % 3]), np.int64(elements[e, (k + 2) % 3]), p)
             if away < worst:
                 worst, side = away, k
         if side < 0:
@@ -91,7 +91,7 @@ def insert(points, elements, across, n, e, p, settled):
     triangles. Nothing happens at a node or an edge of the boundary. Triangles that change are no longer ``settled``."""
     k, on = 0, 0
     for j in range(3):
-        if turn(points, elements[e, (j + 1) % 3], elements[e, (j + 2) % 3], p) == 0.0:
+        if turn(points, np.int64(elements[e, (j + 1) % 3]), np.int64(elements[e, (j + 2) % 3]), p) == 0.0:
             k, on = j, on + 1
     a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
     over_a, over_b, over_c = across[e, k], across[e, (k + 1) % 3], across[e, (k + 2) % 3]
@@ -157,14 +157,14 @@ def _crossed(points, elements, across, start, heads, e, a, b, chains, outer, cel
     first = e
     while True:  # once around a
         k = 0 if elements[e, 0] == a else 1 if elements[e, 1] == a else 2
-        u, v = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+        u, v = np.int64(elements[e, (k + 1) % 3]), np.int64(elements[e, (k + 2) % 3])
         if u == b or v == b:
             return 0, 0, 0
         right, left = turn(points, a, u, b), turn(points, a, v, b)
         ahead = ((points[u, 0] - points[a, 0]) * (points[b, 0] - points[a, 0])
                  + (points[u, 1] - points[a, 1]) * (points[b, 1] - points[a, 1]))
         if right == 0.0 and ahead > 0.0:
-            return -1, np.int64(u), 0
+            return -1, u, 0
         if right > 0.0 and left < 0.0:
             break
         e = np.int64(across[e, (k + 1) % 3])
@@ -182,12 +182,12 @@ def _crossed(points, elements, across, start, heads, e, a, b, chains, outer, cel
             chains[0, n_right], chains[1, n_left] = b, b
             return n, n_right + 1, n_left + 1
         if max(_edge(start, heads, u, v), _edge(start, heads, v, u)) >= 0:
-            return -1, np.int64(u if _edge(start, heads, u, v) >= 0 else v), 0
+            return -1, u if _edge(start, heads, u, v) >= 0 else v, 0
         e = np.int64(across[e, opposite(elements, e, u, v)])
-        w = elements[e, opposite(elements, e, u, v)]
+        w = np.int64(elements[e, opposite(elements, e, u, v)])
         side = turn(points, a, b, w)
         if w != b and side == 0.0:
-            return -1, np.int64(w), 0
+            return -1, w, 0
         if w != b and side > 0.0:
             v, chains[1, n_left], n_left = w, w, n_left + 1
         elif w != b:
@@ -235,7 +235,7 @@ def _force(points, elements, across, count, start, tails, heads, begin, end, at,
         # the left chain from b to a
         for i in range(n_left // 2):
             chains[1, i], chains[1, n_left - 1 - i] = chains[1, n_left - 1 - i], chains[1, i]
-        half = _retriangulate(points, elements, chains[0], n_right, cells, 0, ranges)
+        half = _retriangulate(points, elements, chains[0], n_right, cells, np.int64(0), ranges)
         if _retriangulate(points, elements, chains[1], n_left, cells, half, ranges) < n:
             missing[:] = True
             return

@@ -300,7 +300,7 @@ def swap_edge(points, elements, across, e, k):
     a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
     m = opposite(elements, f, b, c)
     d = elements[f, m]
-    if not in_circle(points, a, b, c, d) > 0.0:
+    if not in_circle(points, np.int64(a), np.int64(b), np.int64(c), np.int64(d)) > 0.0:
         return False
     beside_b, beside_c = across[e, (k + 2) % 3], across[e, (k + 1) % 3]
     over_b, over_c = across[f, (m + 1) % 3], across[f, (m + 2) % 3]

@@ -288,7 +288,7 @@ def _is_free(points, elements, across, t, p, apart):
             return False
         if across[t, k] < 0:
             square = (points[b, 0] - points[c, 0])**2 + (points[b, 1] - points[c, 1])**2
-            if turn(points, b, c, p) < _BESIDE * square:
+            if turn(points, np.int64(b), np.int64(c), p) < _BESIDE * square:
                 return False
     return True
 
