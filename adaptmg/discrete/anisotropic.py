@@ -97,8 +97,8 @@ def columns(tensors: np.ndarray, k: int) -> np.ndarray:
     return tensors[:, i, j] * np.where(i == j, 1.0, 2.0)
 
 
-def tensors(stress: np.ndarray) -> np.ndarray:
-    """Tensors (n, 3, 3) of the columns (n, k) of stresses."""
+def as_tensors(stress: np.ndarray) -> np.ndarray:
+    """Symmetric tensors (n, 3, 3) of the columns (n, k) of stresses."""
     result = np.zeros((len(stress), 3, 3))
     i, j = _PAIRS[:stress.shape[1]].T
     result[:, i, j] = result[:, j, i] = stress

@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.anisotropic import moduli, tensors
+from adaptmg.discrete.anisotropic import as_tensors, moduli
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, stiffness
 from adaptmg.discrete.smoothed import EDGE_PART, element_measures, smoothed, smoothed_stiffness
 from adaptmg.discrete.supports import node_at
@@ -152,7 +152,7 @@ def _stress(mesh: MeshArrays, materials: tuple[Elastic, ...], here: np.ndarray, 
         stress = min(one.lame, most * mu) * strain.sum(axis=2, keepdims=True) + 2 * mu * strain
         return stress[..., None] * np.eye(3)
     stress = np.einsum("nij,nqj->nqi", own.table[own.rows[here], :, :3], strain)
-    return tensors(stress.reshape(-1, stress.shape[2])).reshape(*stress.shape[:2], 3, 3)
+    return as_tensors(stress.reshape(-1, stress.shape[2])).reshape(*stress.shape[:2], 3, 3)
 
 
 def _check_components(mesh: MeshArrays, load: InitialStrain) -> None:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptmg._numba import kernel
-from adaptmg.discrete.anisotropic import Moduli, moduli, tensors
+from adaptmg.discrete.anisotropic import Moduli, as_tensors, moduli
 from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.loads import mean_initial_strain
 from adaptmg.discrete.smoothed import EDGE_PART, edge_lame, element_measures, smoothed
@@ -202,7 +202,7 @@ class StressData:
             stress = 2 * self.shear[body][:, None, None] * strain
             stress[:, diagonal, diagonal] += (lame[body] * np.trace(strain, axis1=1, axis2=2))[:, None]
         else:
-            stress = tensors(self.moduli.stress(strain))
+            stress = as_tensors(self.moduli.stress(strain))
         if self.pressure is not None:
             stress[:, diagonal, diagonal] += self.pressure[:, None]
         stress[(self.kind == _THIN)[body], 2, 2] = 0.0
@@ -218,11 +218,6 @@ def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray,
     stress, other loads do not matter.
     """
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
-
-
-def as_tensors(columns: np.ndarray) -> np.ndarray:
-    """Symmetric tensors (n, 3, 3) of their columns (n, 6): xx, yy, zz, xy, yz, xz."""
-    return columns[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:

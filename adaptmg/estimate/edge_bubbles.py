@@ -27,7 +27,7 @@ from itertools import product
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from adaptmg.discrete.anisotropic import Moduli, moduli, tensors
+from adaptmg.discrete.anisotropic import Moduli, as_tensors, moduli
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.elasticity import body_materials, is_axisymmetric, lame_constants
 from adaptmg.discrete.loads import body_elements, foundation, load_density
@@ -173,7 +173,7 @@ class EdgeBubbles:
             strain = np.zeros((len(slope), 3, 3))
             strain[:, :dim, :dim] = 0.5 * (slope + slope.swapaxes(1, 2))
             strain[:, 2, 2] += around
-            stress = tensors(self._tensors.stress(strain))
+            stress = as_tensors(self._tensors.stress(strain))
             result = gradients @ stress[:, :dim, :dim]
             result[:, :, 0] += stress[:, 2, 2, None] * hoop
             return result

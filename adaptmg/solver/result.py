@@ -17,10 +17,10 @@ from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
 from adaptmg._on_demand import ABSENT, made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
-from adaptmg.discrete.anisotropic import Moduli
+from adaptmg.discrete.anisotropic import Moduli, as_tensors
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.stress import StressData, as_tensors, von_mises
+from adaptmg.discrete.stress import StressData, von_mises
 from adaptmg.discrete.stress_intensity import StressIntensity, stress_intensity
 from adaptmg.discrete.ties import TieForces
 from adaptmg.hierarchy import Hierarchy
