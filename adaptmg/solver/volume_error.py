@@ -48,7 +48,8 @@ class _Direction:
     at_contact: np.ndarray
 
     def minus(self, factor: float, other: _Direction) -> None:
-        for name in ("values", "energetic", "image", "at_contact"):
+        # BLAS takes no empty arrays
+        for name in ("values", "energetic", "image", *["at_contact"] * (self.at_contact.size > 0)):
             daxpy(getattr(other, name).reshape(-1), getattr(self, name).reshape(-1), a=-factor)
 
     def scale(self, factor: float) -> None:
