@@ -31,7 +31,8 @@ from .problem import (
     ContactProblem as ContactProblem, Coulomb as Coulomb, Cracked as Cracked, Cut as Cut, Cylinder as Cylinder,
     Extrusion as Extrusion, Frictionless as Frictionless, Fuse as Fuse, GapFunction as GapFunction,
     InitialStrain as InitialStrain, LoadPath as LoadPath, Moved as Moved, Moving as Moving, Outline as Outline,
-    Plane as Plane, PlaneStrain as PlaneStrain, PlaneStress as PlaneStress, PointSpring as PointSpring,
+    Periodic as Periodic, Plane as Plane, PlaneStrain as PlaneStrain, PlaneStress as PlaneStress,
+    PointSpring as PointSpring,
     PointSupport as PointSupport, Polygon as Polygon, Preload as Preload, Pressure as Pressure,
     Rectangle as Rectangle, Revolution as Revolution, Rigid as Rigid, Solid as Solid, Spring as Spring,
     StepFile as StepFile, Support as Support, Symmetry as Symmetry, Tied as Tied, Traction as Traction, Tresca as Tresca

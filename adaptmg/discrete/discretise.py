@@ -45,18 +45,18 @@ from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.discrete.obstacles import TANGENTIAL, Stops, free_normals, in_front_of, may_overlap, with_motions
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
-from adaptmg.discrete.rigid_modes import rigid_motions
+from adaptmg.discrete.rigid_modes import nodes_of_pieces, rigid_motions
 from adaptmg.discrete.sides import with_sides
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import fixed_dofs, inclined_supports, supported_nodes
-from adaptmg.discrete.ties import tie_interfaces
+from adaptmg.discrete.ties import jump_of, tie_interfaces
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Law, NodalLaw, check_law
 from adaptmg.problem.load_path import DEFAULT, name_in_path
 from adaptmg.problem.loads import InitialStrain, Preload
-from adaptmg.problem.surfaces import ContactPair
+from adaptmg.problem.surfaces import ContactPair, Periodic
 
 _LOG = logging.getLogger(__name__)
 
@@ -99,6 +99,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     held = HeldNodes(fixed.reshape(-1, mesh.dim), inclined_supports(mesh, problem.supports))
     ties = tie_interfaces(problem.ties, mesh, held, problem.axisymmetric)
     contact, weights, stops = _contact(problem, mesh, slip_reference, held, ties)
+    for tie, part in zip(problem.ties, ties, strict=True):
+        values.reshape(-1, mesh.dim)[part.nodes] += jump_of(tie, part.nodes, held)
     materials = body_materials(mesh, problem.material)
     parts = {"matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
              "load": load_vector(mesh, problem.loads, materials, problem.elements),
@@ -244,11 +246,12 @@ def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
 
 
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
-    """Raise ValueError if a body has neither a support nor a surface in contact."""
+    """Raise ValueError if a body, with those glued to it, has neither a support nor a surface in contact."""
     held = np.concatenate([*(mesh.surface(name).nodes for name in (*problem.pair_boundaries, *problem.tied_boundaries)),
                            *(supported_nodes(mesh, support) for support in problem.supports)])
-    for name, nodes in bodies.items():
-        if not (np.searchsorted(nodes, held) < np.searchsorted(nodes, held, "right")).any():
+    for piece in nodes_of_pieces(mesh):
+        if not np.isin(held, piece).any():
+            name = next(name for name, nodes in bodies.items() if len(nodes) and np.isin(nodes[0], piece))
             raise ValueError(f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
                              "support or a contact pair, or leave it out")
 
@@ -396,6 +399,13 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
         fixed, values = fixed_dofs(mesh, [support for support in problem.supports if name_in_path(support) == name])
         dofs = np.flatnonzero(fixed)
         prescribed[name] = dofs, values[dofs]
+    held = HeldNodes(discrete.held.reshape(-1, mesh.dim), discrete.inclined)
+    for tie, (*_, nodes) in zip(problem.ties, discrete.ties, strict=True):
+        if isinstance(tie, Periodic) and tie.jump is not None:
+            free = np.flatnonzero(~held.fixed[nodes].reshape(-1))
+            dofs = (mesh.dim * nodes[:, None] + np.arange(mesh.dim)).reshape(-1)[free]
+            before = prescribed.get(name := name_in_path(tie), (np.empty(0, dtype=np.int64), np.empty(0)))
+            prescribed[name] = tuple(map(np.append, before, (dofs, jump_of(tie, nodes, held).reshape(-1)[free])))
     return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed,
                      StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh)
 

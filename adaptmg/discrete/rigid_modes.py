@@ -21,7 +21,7 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
     ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count as one.
     """
     columns = []
-    for nodes in _nodes_of_pieces(mesh):
+    for nodes in nodes_of_pieces(mesh):
         if axisymmetric:
             modes = np.zeros((len(nodes), 2, 1))
             modes[:, 1] = 1 / np.sqrt(len(nodes))
@@ -35,7 +35,7 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
     return np.hstack(columns)
 
 
-def _nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
+def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
     """Ascending nodes of each set of bodies that hang together, in the order of their first bodies."""
     n_bodies = len(mesh.bodies)
     if n_bodies == 1:

@@ -21,7 +21,7 @@ from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.mortar.interface import MortarInterface
 from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.surfaces import ContactPair, Tied
+from adaptmg.problem.surfaces import ContactPair, Periodic, Tied
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class TieForces:
         return result
 
 
-def tie_interfaces(ties: Sequence[Tied], mesh: MeshArrays, held: HeldNodes, axisymmetric: bool
+def tie_interfaces(ties: Sequence[Tied | Periodic], mesh: MeshArrays, held: HeldNodes, axisymmetric: bool
                    ) -> list[MortarInterface]:
     """The tied slave nodes of each tie. Nodes on several belong to the tie named first; what supports hold in all
     directions is not tied."""
@@ -54,6 +54,10 @@ def tie_interfaces(ties: Sequence[Tied], mesh: MeshArrays, held: HeldNodes, axis
         taken[held.inclined.nodes[held.inclined.moving]] = True
     parts = []
     for tie in ties:
+        if isinstance(tie, Periodic):
+            parts.append(_periodic(tie, mesh, taken))
+            taken[parts[-1].nodes] = True
+            continue
         pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
         own = mesh.surface(tie.slave).nodes
         try:
@@ -62,6 +66,35 @@ def tie_interfaces(ties: Sequence[Tied], mesh: MeshArrays, held: HeldNodes, axis
             raise ValueError(str(error).replace("contact pair", "tie", 1)) from error
         taken[parts[-1].nodes] = True
     return parts
+
+
+_OFFSET = 1e-6  # of the size of the mesh: how far a partner on the other side of a cell may lie off its place
+
+
+def _periodic(tie: Periodic, mesh: MeshArrays, taken: np.ndarray) -> MortarInterface:
+    """Nodes of a side of a cell, each with its partner on the other one."""
+    slave, master = mesh.surface(tie.slave).nodes, mesh.surface(tie.master).nodes
+    points, size = mesh.points, np.ptp(mesh.points, axis=0).max()
+    middle = [0.5 * (points[side].max(axis=0) + points[side].min(axis=0)) for side in (slave, master)]
+    shift = middle[0] - middle[1]
+    from scipy.spatial import cKDTree  # a first solve without it starts sooner
+
+    away, partner = cKDTree(points[master]).query(points[slave] - shift)
+    if len(slave) != len(master) or away.max() > _OFFSET * size:
+        i = int(np.argmax(away))
+        raise ValueError(f"periodic sides {tie.master!r} and {tie.slave!r} do not match: {len(master)} and "
+                         f"{len(slave)} nodes, and the partner of node {slave[i]} {tuple(points[slave[i]].tolist())} "
+                         f"lies {away[i]:.3g} m off. Take a structured mesh, or one with sides made alike")
+    free = ~taken[slave]
+    slave, partner = slave[free], master[partner[free]]
+    rows = sparse.csr_array((np.ones(len(slave)), partner, np.arange(len(slave) + 1)), shape=(len(slave), len(points)))
+    return MortarInterface(slave, np.zeros((len(slave), mesh.dim)), np.ones(len(slave)), np.zeros(len(slave)), rows)
+
+
+def jump_of(tie: Tied | Periodic, nodes: np.ndarray, held: HeldNodes) -> np.ndarray:
+    """The relative displacement (n, dim) of tied nodes, m, zero along what supports hold."""
+    jump = getattr(tie, "jump", None) or (0.0,) * held.fixed.shape[1]
+    return held.free_part(nodes, np.broadcast_to(jump, (len(nodes), len(jump))))
 
 
 def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:

@@ -262,26 +262,33 @@ def contact_tractions(mesh: MeshArrays, result: Result, axisymmetric: bool) -> M
     on_slave = contact.on_slaves(mesh)
     found = {name: _on_surface(mesh, contact, name, on_slave, axisymmetric)
              for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])}
-    for k, name in enumerate(() if ties is None else ties.names):
+    names = () if ties is None else ties.names
+    sides = np.zeros(mesh.n_nodes, dtype=np.int64)
+    for name in set(names):
+        sides[mesh.surface(name).nodes] += 1
+    for k, name in enumerate(names):
         surface, own = mesh.surface(name), ties.boundary == k
         mass = surface.lumped(axisymmetric)[surface.nodes, None]
         values = np.zeros((len(surface.nodes), mesh.dim))
         values[np.searchsorted(surface.nodes, ties.node[own])] = ties.force[own]
         values = np.divide(values, mass, out=np.zeros_like(values), where=mass > 0)
-        if k % 2 == 0:  # slave nodes that are not tied have the traction of their neighbours
-            _fill(surface, np.isin(surface.nodes, ties.node[own]), values)
+        # where several meet, and at slave nodes that are not tied, the traction is that of the neighbours
+        lone = sides[surface.nodes] == 1
+        _fill(surface, lone & (np.isin(surface.nodes, ties.node[own]) if k % 2 == 0 else True), values)
         before = found[name].values if name in found else 0.0
         found[name] = SurfaceTraction(surface.facets, surface.nodes, before + values)
     return found
 
 
 def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
-    """Fill ``values`` in at other nodes with the mean of their neighbours'."""
-    place = np.searchsorted(surface.nodes, surface.facets)
-    for i in np.flatnonzero(~filled):
-        near = np.unique(place[(place == i).any(axis=1)])
-        if filled[near].any():
-            values[i] = values[near[filled[near]]].mean(axis=0)
+    """Fill ``values`` in at other nodes with the mean of their neighbours', corners from edges that were filled."""
+    place, filled = np.searchsorted(surface.nodes, surface.facets), filled.copy()
+    for _ in range(2):
+        before = filled.copy()
+        for i in np.flatnonzero(~before):
+            near = np.unique(place[(place == i).any(axis=1)])
+            if before[near].any():
+                values[i], filled[i] = values[near[before[near]]].mean(axis=0), True
 
 
 def _on_surface(mesh: MeshArrays, contact: ContactResult, name: str, on_slave: np.ndarray, axisymmetric: bool

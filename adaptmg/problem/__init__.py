@@ -31,11 +31,11 @@ from adaptmg.problem.solid_domains import (
     Revolution,
     StepFile,
 )
-from adaptmg.problem.surfaces import ContactPair, GapFunction, Plane, Tied
+from adaptmg.problem.surfaces import ContactPair, GapFunction, Periodic, Plane, Tied
 
 __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact", "ContactPair",
            "ContactProblem", "Coulomb", "Cracked", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless",
-           "Fuse", "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Moving", "Outline", "Plane",
+           "Fuse", "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Moving", "Outline", "Periodic", "Plane",
            "PlaneStrain", "PlaneStress", "PointSpring", "PointSupport", "Polygon", "Preload", "Pressure", "Rectangle",
            "Revolution", "Rigid", "Solid", "Spring", "StepFile", "Support", "Symmetry", "Tied", "Traction", "Tresca",
            "step_problem"]

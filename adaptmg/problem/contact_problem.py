@@ -13,7 +13,7 @@ from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Pr
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStress
 from adaptmg.problem.moving import Moving, Obstacle, Rigid
 from adaptmg.problem.plane_domains import Domain
-from adaptmg.problem.surfaces import ContactPair, Plane, Tied
+from adaptmg.problem.surfaces import ContactPair, Periodic, Plane, Tied
 
 CONTACT = "contact"  # name of all contact boundaries together
 _MOST_STIFFER = 1e15  # between the Young's moduli of two bodies
@@ -71,7 +71,7 @@ class ContactProblem:
     contact : Contact, ContactPair or sequence of them
     law : Frictionless, Tresca, Coulomb or user-defined
         On all contact boundaries that have no law of their own; its parameters may vary in space.
-    ties : Tied or sequence of Tied
+    ties : Tied, Periodic or sequence of them
         Boundaries that move together.
     loads : sequence of Pressure, Traction, BodyForce, InitialStrain, Preload
     supports : sequence of Support, Symmetry, PointSupport, Spring, PointSpring
@@ -104,7 +104,7 @@ class ContactProblem:
     material: Elastic | Mapping[str, Elastic]
     contact: Contact | ContactPair | tuple[Contact | ContactPair, ...] = ()
     law: Law | Any = None  # Any: it is None only while the problem is made
-    ties: Tied | tuple[Tied, ...] = ()
+    ties: Tied | Periodic | tuple[Tied | Periodic, ...] = ()
     loads: tuple[Load, ...] = ()
     supports: tuple[AnySupport, ...] = ()
     domain: Domain | Any = None  # Any: only problems without a domain need the test for None
@@ -118,9 +118,9 @@ class ContactProblem:
         if not isinstance(self.material, Elastic):
             object.__setattr__(self, "material", _materials(self.material))
         checks.convert(self, checks.items, "contact", types=(Contact, ContactPair))
-        checks.convert(self, checks.items, "ties", types=Tied)
+        checks.convert(self, checks.items, "ties", types=(Tied, Periodic))
         if not self.contact and not self.ties:
-            raise ValueError("contact is empty: a contact problem needs a Contact, a ContactPair or, in ties, a Tied")
+            raise ValueError("contact is empty: a contact problem needs a Contact, a ContactPair or ties")
         if self.law is None and all(one.law is not None for one in self.contact):
             object.__setattr__(self, "law", Frictionless())
         check_law(self.law)
@@ -144,7 +144,7 @@ class ContactProblem:
                 raise ValueError(f"{checks.shown(support)} is at a point with {len(support.point)} components in a "
                                  f"{self.dim}D problem")
         _check_contact(self.contact, self.dim)
-        _check_ties(self.ties, self.contact_boundaries)
+        _check_ties(self.ties, self.contact_boundaries, self.dim)
         self._check_name_contact()
         if self.domain is not None:
             self._check_domain(self.domain)
@@ -271,9 +271,11 @@ def _materials(material: object) -> dict[str, Elastic]:
     return dict(material)
 
 
-def _check_ties(ties: tuple[Tied, ...], contact_boundaries: tuple[str, ...]) -> None:
+def _check_ties(ties: tuple[Tied | Periodic, ...], contact_boundaries: tuple[str, ...], dim: int) -> None:
     slaves = [tie.slave for tie in ties]
     for tie in ties:
+        if isinstance(tie, Periodic) and len(tie.jump or (0,) * dim) != dim:
+            raise ValueError(f"jump must have {dim} components, got {len(tie.jump)}")
         if slaves.count(tie.slave) > 1 or tie.slave in contact_boundaries:
             raise ValueError(f"boundary {tie.slave!r} is named twice as slave of ties and contacts: swap slave and "
                              "master of one, or cut the boundary in two")

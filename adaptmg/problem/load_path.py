@@ -18,10 +18,12 @@ from adaptmg._text import brief
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSupport, Preload, Pressure, Support
 from adaptmg.problem.moving import moving_parts
+from adaptmg.problem.surfaces import Periodic, Tied
 
 BODY_FORCE = "body force"  # name of body forces that act on all bodies
 DEFAULT = "default"  # name of all loads together, where no ContactProblem names them
 
+Acting = Load | AnySupport | Periodic | Tied
 Field = float | Callable[[np.ndarray], np.ndarray]
 
 _ROUNDING = 1e-14
@@ -102,23 +104,26 @@ class LoadPath:
         return {name: self.of(name) for name in names}
 
 
-def name_in_path(item: Load | AnySupport) -> str:
+def name_in_path(item: Acting) -> str:
     """The name under which a path scales a load or support: its own, or that of its place."""
     return getattr(item, "name", None) or _place(item)
 
 
-def _place(item: Load | AnySupport) -> str:
+def _place(item: Acting) -> str:
     if isinstance(item, InitialStrain | Preload):
         return item.body
+    if isinstance(item, Tied | Periodic):
+        return item.slave
     if isinstance(item, BodyForce):
         return BODY_FORCE if item.body is None else item.body
     return item.boundary or item.place
 
 
-def _acting(problem: ContactProblem) -> list[Load | AnySupport]:
-    """All loads, and the supports that prescribe a displacement other than zero."""
+def _acting(problem: ContactProblem) -> list[Acting]:
+    """All loads, and the supports and periodic sides that prescribe a displacement other than zero."""
     return [*problem.loads, *(one for one in problem.supports if any(one.components(problem.dim))
-                              or (isinstance(one, Support) and one.normal))]
+                              or (isinstance(one, Support) and one.normal)),
+            *(one for one in problem.ties if isinstance(one, Periodic) and any(one.jump or ()))]
 
 
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
@@ -130,9 +135,9 @@ def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*named, *obstacles_in_path(problem)]))
 
 
-def _shared_places(problem: ContactProblem) -> dict[str, list[Load | AnySupport]]:
+def _shared_places(problem: ContactProblem) -> dict[str, list[Acting]]:
     """By the name of a place what acts there: several, of which one at least has no name of its own."""
-    at: dict[str, list[Load | AnySupport]] = {}
+    at: dict[str, list[Acting]] = {}
     for item in _acting(problem):
         at.setdefault(_place(item), []).append(item)
     for item in _acting(problem):
@@ -191,8 +196,9 @@ def step_problem(problem: ContactProblem, factors: Mapping[str, float]) -> Conta
     """
     factors = {name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()}
     _check_names("factors name", factors, names_in_path(problem))
-    return replace(problem, loads=tuple(_load(load, factors.get(name_in_path(load), 1.0)) for load in problem.loads),
-                   supports=tuple(_support(one, factors.get(name_in_path(one), 1.0)) for one in problem.supports))
+    by_kind = (("loads", _load), ("supports", _support), ("ties", _jump))
+    return replace(problem, **{kind: tuple(change(one, factors.get(name_in_path(one), 1.0))
+                                           for one in getattr(problem, kind)) for kind, change in by_kind})
 
 
 def _check_names(what: str, factors: Mapping[str, object], names: tuple[str, ...]) -> None:
@@ -213,6 +219,11 @@ def _load(load: Load, factor: float) -> Load:
     if isinstance(load, Pressure):
         return replace(load, value=times(load.value, factor))
     return replace(load, components=tuple(times(value, factor) for value in load.components))
+
+
+def _jump(tie: Tied | Periodic, factor: float) -> Tied | Periodic:
+    moved = isinstance(tie, Periodic) and tie.jump is not None
+    return replace(tie, jump=tuple(factor * value for value in tie.jump)) if moved else tie
 
 
 def _support(support: AnySupport, factor: float) -> AnySupport:

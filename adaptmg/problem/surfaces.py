@@ -5,7 +5,7 @@ The condition at a contact node is :math:`u_n = u \cdot n \le g_0`, with n point
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING
 
@@ -128,6 +128,40 @@ class Tied:
         _check_two_sides(self.slave, self.master)
         if self.reach is not None:
             checks.convert(self, checks.quantity, "reach", positive=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """Two opposite sides of a periodic cell: what happens on one happens on the other, up to a jump.
+
+    Each node of a side must have a partner on the other one, the same distance away: structured meshes have.
+
+    Parameters
+    ----------
+    master, slave : str
+        The two sides; the slave's displacements are those of the master plus the jump.
+    jump : sequence of float, optional
+        m; default none. Of a cell with the sides L apart it is the mean displacement gradient times L.
+    name : str, optional
+        In load paths; default the slave's.
+
+    Examples
+    --------
+    >>> shear = [am.Periodic("left", "right", jump=(0, 1e-3)), am.Periodic("bottom", "top", jump=(1e-3, 0))]
+    """
+
+    master: str
+    slave: str
+    _: KW_ONLY
+    jump: Sequence[float] | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        _check_two_sides(self.slave, self.master)
+        if self.jump is not None:
+            object.__setattr__(self, "jump", tuple(check_arrays.vector("jump", self.jump).tolist()))
+        if self.name is not None:
+            checks.boundary_name("name", self.name)
 
 
 def _check_two_sides(slave: str, master: str) -> None:

@@ -121,7 +121,57 @@ def test_a_pin_glued_into_its_hole_fills_it():
     np.testing.assert_allclose(result.displacement, expected, atol=1e-8 * np.abs(expected).max())
 
 
+SHEAR = 1e-3
+
+
+def cell(dim, **changes):
+    """A periodic cell under the mean shear strain SHEAR in its first plane, with no name of a load."""
+    sides = (("left", "right"), *([("front", "back")] * (dim == 3)), ("bottom", "top"))
+    strain = np.zeros((dim, dim))
+    strain[0, 1] = strain[1, 0] = SHEAR
+    arguments = {"material": (am.Solid if dim == 3 else am.PlaneStrain)(young=E, poisson=NU),
+                 "ties": [am.Periodic(*pair, jump=jump) for pair, jump in zip(sides, strain, strict=True)],
+                 "domain": am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1),
+                 "supports": am.PointSupport([0] * dim, **dict.fromkeys("xyz"[:dim], 0.0))}
+    return am.ContactProblem(**arguments | changes), strain
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_periodic_cell_is_sheared_uniformly(dim):
+    problem, strain = cell(dim)
+    grids = am.Hierarchy.uniform(problem, (2, 4))
+    for method in (am.Multigrid(rtol=1e-11), am.FullMultigrid(rtol=1e-11), EXACT):
+        result = am.solve(grids, method)
+        np.testing.assert_allclose(result.displacement, result.mesh.points @ strain, atol=1e-10 * SHEAR)
+    stress = E / (1 + NU) * SHEAR
+    np.testing.assert_allclose(result.resultant("right").force, stress * np.eye(dim)[1], atol=1e-6 * stress)
+    assert am.Residual().indicate(grids, result).relative < 1e-9
+    path = am.solve_path(grids, am.LoadPath({"right": [0.5, -1], "back" if dim == 3 else "top": [0.5, -1]}), EXACT)
+    np.testing.assert_allclose(path[1].displacement, -result.displacement, atol=1e-10 * SHEAR)
+
+
+@pytest.mark.parametrize("shift", [(0, 2), (2, 1)])
+def test_a_cell_does_not_depend_on_where_it_begins(shift):
+    """A stiff inclusion anywhere in the cell: the same mean stress, whose work is the energy (Hill and Mandel)."""
+    def with_inclusion(shift):
+        mesh = structured(am.Rectangle(width=1, height=1), 8)
+        centre = np.abs(mesh.points[mesh.elements].mean(axis=1) - 0.5 - np.array(shift) / 8)
+        inside = (centre < 0.25).all(axis=1).astype(np.int32)
+        two = replace(mesh, bodies=("soft", "stiff"), element_body=inside, source=None)
+        problem, _ = cell(2, material={"soft": PLANE, "stiff": replace(PLANE, young=10 * E)}, domain=None)
+        return am.solve(am.Hierarchy.from_meshes(problem, [two]), EXACT)
+
+    one, other = with_inclusion((0, 0)), with_inclusion(shift)
+    for side in ("right", "top"):
+        force = one.resultant(side).force
+        np.testing.assert_allclose(other.resultant(side).force, force, atol=1e-10 * np.abs(force).max())
+    assert 2 * one.energy == pytest.approx(2 * SHEAR * one.resultant("right").force[1])
+
+
 test_refused = refused(
+    (lambda: cell(2, ties=am.Periodic("left", "right", jump=(1, 2, 3))), "jump must have 2 components, got 3"),
+    (lambda: am.Hierarchy.from_meshes(cell(2, ties=am.Periodic("left", "top"))[0], [
+        structured(am.Rectangle(width=1, height=1), (2, 3))]), "sides 'left' and 'top' do not match: 4 and 3 nodes"),
     (lambda: am.Tied("a", "a"), "slave and master are both 'a'"),
     (lambda: am.Tied("a", "b", reach=0.0), "reach must be"),
     (lambda: cantilever(ties=()), "contact is empty"),

@@ -97,7 +97,7 @@ DOORS = {
     am.SizeNear: {"points": ((0.0, 0.0),), "size": 1.0, "radius": 1.0, "grading": 0.3},
     am.Spring: {"boundary": "a", "normal": 1.0, "tangential": 1.0}, am.StepFile: {"path": Path("a.step"), "unit": 1.0},
     am.Support: {"boundary": "a", "x": 1.0}, am.Symmetry: {"boundary": "a"},
-    am.Tied: {"slave": "a", "master": "b", "reach": 1.0},
+    am.Tied: {"slave": "a", "master": "b", "reach": 1.0}, am.Periodic: {"master": "a", "slave": "b", "jump": (1, 1)},
     am.Traction: {"boundary": "a", "components": (0.0, 1.0)},
     am.Truncated: {"recombine": 2, "coarse_sweeps": 2, "interface_sweeps": 2, "coarse_solve": am.Direct(),
                    "coarse_smoother": am.ProjectedGaussSeidel()},
