@@ -166,7 +166,11 @@ class ByHand:
         for load in self.problem.loads:
             if isinstance(load, am.InitialStrain) and load.body == self.mesh.bodies[self.mesh.element_body[e]]:
                 strain -= np.diag(load.components)
-        young, nu = material.young, material.poisson
+        young, nu, own = material.young, material.poisson, material.anisotropy
+        if own is not None:
+            axes, i, j = own.rotations(x[None])[0], [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]
+            stress = np.array(own.stiffness) @ ((axes @ strain @ axes.T)[i, j] * [1, 1, 1, 2, 2, 2])
+            return axes.T @ stress[[[0, 5, 4], [5, 1, 3], [4, 3, 2]]] @ axes
         if isinstance(material, am.PlaneStress):
             strain[2, 2] = -nu / (1 - nu) * (strain[0, 0] + strain[1, 1])
         return (young / (1 + nu)) * (strain + nu / (1 - 2 * nu) * np.trace(strain) * np.eye(3))
@@ -313,11 +317,11 @@ def glued(kind):
     return am.Hierarchy.from_meshes(problem, [mesh])
 
 
-def blocks(kind=am.PlaneStrain):
+def blocks(kind=am.PlaneStrain, upper=None):
     parts = {"a": am.Rectangle(width=0.04, height=0.03, origin=(0.01 if kind is am.Axisymmetric else 0.0, 0.0)),
              "b": am.Rectangle(width=0.06, height=0.03, origin=(0.005, -0.03))}
     return am.ContactProblem(
-        material={"a": kind(young=1e11, poisson=0.3), "b": kind(young=2e11, poisson=0.2)},
+        material={"a": upper or kind(young=1e11, poisson=0.3), "b": kind(young=2e11, poisson=0.2)},
         domain=am.Assembly(parts=parts), contact=am.ContactPair("a.bottom", "b.top"), law=am.Coulomb(0.4),
         loads=(am.Traction("a.top", (2e7, -6e7)), am.BodyForce((0.0, -1e8), body="b"),
                am.InitialStrain("a", (1e-4, 5e-5, 2e-4))),
@@ -326,6 +330,8 @@ def blocks(kind=am.PlaneStrain):
 
 CASES = {"plane stress, obstacle": (bar, (16e-3,)), "pair": (blocks, (11e-3,)),
          "axisymmetric pair": (lambda: blocks(am.Axisymmetric), (13e-3,)),
+         "orthotropic axisymmetric pair": (lambda: blocks(am.Axisymmetric, am.Axisymmetric.orthotropic(
+             young=(2e11, 5e10, 1e11), poisson=(0.3, 0.2, 0.1), shear=(4e10, 6e10, 5e10), angle=30.0)), (13e-3,)),
          "Tresca": (lambda: am.cases.greco_bar(law=am.Tresca(3e7)), (9e-3,)),
          "glued, axisymmetric": (lambda: glued(am.Axisymmetric), ()), "glued solids": (lambda: glued(am.Solid), ())}
 
