@@ -185,7 +185,8 @@ def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None
         With its source, and with ``notes``: how elements were cut, names that overlap, materials and friction that the
         file lists (they are not applied), and what was not read. Quadrilaterals are cut along the shorter diagonal,
         bricks, wedges and pyramids into tetrahedra, elements of second order through their middle nodes; no node of an
-        element is dropped. A body is one piece: pieces of one name are called "name", "name_2", ...
+        element is dropped (but of second order in files of Netgen). A body is one piece: pieces of one name are called
+        "name", "name_2", ...
 
     Raises
     ------

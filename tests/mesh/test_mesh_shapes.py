@@ -87,6 +87,40 @@ def test_cuts_fit_across_faces(kinds):
         assert any("each split into" in note for note in mesh.notes)
 
 
+#: Gmsh's numbers of kinds, and the corners whose middles and centres follow in its order
+GMSH = {
+    11: ("tetra", "01 12 20 30 23 13"), 17: ("hexahedron", "01 03 04 12 15 23 26 37 45 47 56 67"),
+    12: ("hexahedron", "01 03 04 12 15 23 26 37 45 47 56 67 0321 0154 0473 1265 2376 4567 01234567"),
+    18: ("wedge", "01 02 03 12 14 25 34 35 45"), 13: ("wedge", "01 02 03 12 14 25 34 35 45 0143 0352 1254"),
+    19: ("pyramid", "01 03 04 12 14 23 24 34"), 14: ("pyramid", "01 03 04 12 14 23 24 34 0321")}
+
+
+@pytest.mark.parametrize("number", GMSH)
+def test_gmsh_counts_nodes_of_second_order_in_its_own_way(tmp_path, number):
+    shape, between = GMSH[number]
+    corners = np.array(CORNERS[shape], dtype=float)
+    points = [*corners, *(corners[list(map(int, ends))].mean(axis=0) for ends in between.split())]
+    nodes = "\n".join(f"{k + 1} {x} {y} {z}" for k, (x, y, z) in enumerate(points))
+    (tmp_path / "m.msh").write_text(
+        f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n{len(points)}\n{nodes}\n$EndNodes\n$Elements\n1\n"
+        f"1 {number} 2 3 3 {' '.join(map(str, range(1, len(points) + 1)))}\n$EndElements\n")
+    mesh = from_file(tmp_path / "m.msh", unnamed="free")
+    # numbered otherwise, parts would be turned over
+    assert mesh.n_nodes == len(points) and mesh.bodies == ("3",) and mesh.volumes.sum() == pytest.approx(SIZES[shape])
+    assert f"1 {len(points)}-node" in mesh.notes[0]
+
+
+def test_diagonals_without_neighbours_are_the_shorter_ones():
+    for kind, pairs in (("quad", ((0, 2), (1, 3))), ("tetra10", ((4, 9), (5, 7), (6, 8)))):
+        for stretch in np.exp(np.random.default_rng(3).normal(size=(8, dimension(kind)))):
+            # sheared, so that no two diagonals are equal
+            x = element(kind) @ np.triu(np.full((dimension(kind),) * 2, 0.4), 1) + element(kind) * stretch
+            cells, _ = simplices(kind, np.arange(len(x))[None], x)
+            shortest = min(pairs, key=lambda pair: np.linalg.norm(x[pair[0]] - x[pair[1]]))
+            assert {frozenset(pair) for pair in pairs if any(set(pair) <= set(cell) for cell in cells.tolist())} == {
+                frozenset(shortest)}
+
+
 @pytest.mark.parametrize("kind", ["hexahedron", "wedge15"])
 def test_twisted_elements_get_a_node_at_their_centre(kind):
     points, nodes = element(kind), np.arange(KINDS[kind][1])
@@ -184,6 +218,15 @@ def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
     assert "top" in from_file(path, unnamed="free").boundaries
     with pytest.raises(ValueError, match="boundaries: it holds no 'side'; it holds"):
         from_file(path, boundaries=["side"])
+
+
+def test_a_set_of_corners_holds_the_middle_nodes_between_them(tmp_path):
+    x = 2 * element("quad8")
+    rows = "\n".join(f"{k + 1}, {a}, {b}" for k, (a, b) in enumerate(x))
+    (tmp_path / "m.inp").write_text(f"*NODE\n{rows}\n*ELEMENT, TYPE=CAX8R\n1, 1, 2, 3, 4, 5, 6, 7, 8\n"
+                                    "*NSET, NSET=low\n1, 2\n")
+    mesh = from_file(tmp_path / "m.inp", unnamed="free")
+    assert len(mesh.boundary_facets("low")) == 2 and "elements of the types CAX8R" in mesh.notes
 
 
 def test_parts_are_placed_as_often_as_they_have_instances(tmp_path):
