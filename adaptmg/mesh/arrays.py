@@ -158,7 +158,8 @@ class MeshArrays:
     def __repr__(self) -> str:
         kind = "triangles" if self.dim == 2 else "tetrahedra"
         return shortened(f"MeshArrays: {self.n_nodes} nodes, {len(self.elements)} {kind}; bodies "
-                         f"{', '.join(self.bodies)}; boundaries {', '.join(self.boundaries)}{'; see its notes' * bool(self.notes)}")
+                         f"{', '.join(self.bodies)}; boundaries {', '.join(self.boundaries)}"
+                         + "; see its notes" * bool(self.notes))
 
     def _repr_svg_(self) -> str | None:
         return svg(self.points, self.elements, self.facets)
