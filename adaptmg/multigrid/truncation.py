@@ -249,21 +249,21 @@ def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, fricti
                    block, other):
     """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen). ``block``
     and ``other`` (dim, dim) are overwritten."""
-    size = dim * dim
-    m = dim - 1
+    size, m = dim * dim, dim - 1
+    no, yes = np.bool_(False), np.bool_(True)  # _turn would be compiled again for each constant
     for e in range(len(rows)):
         k, l = contact_of[rows[e]], contact_of[columns[e]]
         for a in range(dim):
             for b in range(dim):
                 block[a, b] = blocks[e * size + a * dim + b]
         if k >= 0:
-            _turn(dim, frames, k, False, True, block, other)
+            _turn(dim, frames, k, no, yes, block, other)
             if newton and codes[k] & CLOSED:
                 for a in range(m):
                     for b in range(dim):
                         block[1 + a, b] -= friction[k] * direction[m * k + a] * block[0, b]
         if l >= 0:
-            _turn(dim, frames, l, False, False, block, other)
+            _turn(dim, frames, l, no, no, block, other)
         if k >= 0 and k == l:
             for a in range(m):
                 for b in range(m):
@@ -273,9 +273,9 @@ def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, fricti
                 if (k >= 0 and _truncated(a, codes[k])) or (l >= 0 and _truncated(b, codes[l])):
                     block[a, b] = 0.0
         if l >= 0:
-            _turn(dim, frames, l, True, False, block, other)
+            _turn(dim, frames, l, yes, no, block, other)
         if k >= 0:
-            _turn(dim, frames, k, True, True, block, other)
+            _turn(dim, frames, k, yes, yes, block, other)
         for a in range(dim):
             for b in range(dim):
                 change[e * size + a * dim + b] = block[a, b] - blocks[e * size + a * dim + b]
