@@ -143,12 +143,17 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
     return Location(element=element, weights=weights, distance=distance)
 
 
+def on_lattices(coarse: MeshArrays, fine: MeshArrays) -> bool:
+    """Return whether both meshes are structured, of the same bodies."""
+    alike = [(a.lower, a.upper) == (b.lower, b.upper) for a, b in zip(coarse.lattices, fine.lattices, strict=False)]
+    return coarse.bodies == fine.bodies and len(alike) == len(fine.bodies) and all(alike)
+
+
 def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
     """Return what :class:`Interpolation` builds between structured meshes of the same bodies, to rounding; None for
     others."""
     _check_meshes(coarse, fine)
-    alike = [(a.lower, a.upper) == (b.lower, b.upper) for a, b in zip(coarse.lattices, fine.lattices, strict=False)]
-    if coarse.bodies != fine.bodies or len(alike) < len(fine.bodies) or not all(alike):
+    if not on_lattices(coarse, fine):
         return None
     most, node, column, count = (fine.dim + 1) * fine.n_nodes, 0, 0, 0
     indptr, indices, data = np.zeros(fine.n_nodes + 1, dtype=np.int32), np.empty(most, dtype=np.int32), np.empty(most)
