@@ -25,6 +25,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, Surface, facet_table, longest_edges, normalised, swept, trusted
+from adaptmg.mesh.bisection.refine import refined
 from adaptmg.mesh.domains import extent
 from adaptmg.mesh.drafted import drafted
 from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, meshing_limit, netgen
@@ -333,6 +334,10 @@ def _bisected(worker: Netgen, unit: MeshArrays, shape: Shape, sizes: SolidSizes,
         if not large.any():
             return unit
         nodes = refuse_too_many(expected_nodes(mesh, at_centroids), domain)
+        if shape.cracks:
+            # of which Netgen's mesh is not opened
+            unit = refined(unit, large, 1).mesh
+            continue
         # on the mesh with its geometry, so that new nodes go onto the surfaces
         unit = _sound(shape, worker("bisect", large, seconds=meshing_limit(nodes, 3)))
     raise unreachable(domain, large)

@@ -49,8 +49,6 @@ _MAX_TURN = math.radians(80.0)
 # longest edge on an arc, of its radius; Netgen rounds the number of edges of a piece
 _MAX_EDGE = 0.4
 _NO_LIMIT = 1e99
-# of the cosine of the turn: corners of cracks below 120 degrees are sharp
-_SHARP = 0.5
 # volumes of boolean operations add up to 1e-9 of the operands
 _VOLUME_TOLERANCE = 1e-6
 # parameters of samples of surfaces: angles of those that are turned
@@ -298,14 +296,13 @@ def _shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> TopoD
     if isinstance(domain, Combination):
         return _combination(domain, origin, scale)
     if isinstance(domain, Cracked):
-        faces = []
+        parts = [_shape(domain.domain, origin, scale)]
         for name, path in domain.cracks.items():
-            for part in _parted(np.array(path)):
-                ends = list(map(place, part))
-                face = Face(occ.Wire([occ.Segment(a, b) for a, b in zip(ends, ends[1:] + ends[:1], strict=True)]))
-                face.name = f"{name}.left"
-                faces.append(face)
-        return occ.Glue([_shape(domain.domain, origin, scale), *faces])
+            ends = list(map(place, path))
+            face = Face(occ.Wire([occ.Segment(a, b) for a, b in pairwise([*ends, ends[0]])]))
+            face.name = f"{name}.left"
+            parts.append(face)
+        return occ.Glue(parts)
     if isinstance(domain, Moved):
         shape = _shape(domain.solid, np.zeros(3), scale)
         if domain.angle % 360:
@@ -337,21 +334,6 @@ def _shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> TopoD
         _name_ends(shape, ("bottom", "top"), lambda f: f.center.z)
         return shape
     raise TypeError(f"domain must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), got {domain!r}")
-
-
-def _parted(polygon: np.ndarray) -> list[np.ndarray]:
-    """A convex polygon in parts, by lines from its centre to sharp corners: no triangle of the mesh has all three nodes
-    on the front there, where it could not open. Other polygons as they are."""
-    before, after = polygon - np.roll(polygon, 1, axis=0), np.roll(polygon, -1, axis=0) - polygon
-    turns = np.cross(before, after)
-    sharp = np.flatnonzero((before * after).sum(axis=1) < _SHARP * np.linalg.norm(before, axis=1)
-                           * np.linalg.norm(after, axis=1))
-    if len(sharp) < 2 or not (turns @ turns.sum(axis=0) >= 0).all():
-        return [polygon]
-    rolled = np.roll(polygon, -sharp[0], axis=0)
-    ends = [*(sharp - sharp[0]), len(polygon)]
-    return [np.vstack([polygon.mean(axis=0), rolled[a:b], rolled[b % len(polygon)]])
-            for a, b in pairwise(ends)]
 
 
 def _place(p: Pnt | Vec) -> tuple[float, float, float]:

@@ -63,20 +63,48 @@ def opened(elements: np.ndarray, facets: np.ndarray, n_nodes: int
 
 
 def opened_tables(right: Mapping[int, str], normals: Mapping[int, np.ndarray], points: np.ndarray, elements: np.ndarray,
-                  facets: np.ndarray, labels: np.ndarray, names: Sequence[str], *bodies: object) -> tuple:
+                  facets: np.ndarray, labels: np.ndarray, names: Sequence[str], body: np.ndarray, bodies: Sequence[str]
+                  ) -> tuple:
     """Netgen's tables with cracks opened: ``right`` names the right face of each label of a left one, whose outward
-    normals point along ``normals``."""
+    normals point along ``normals``. Facets that would stay closed are cut at their middles first."""
     elements = positive(points, elements)
     crack = np.isin(labels, list(right))
     at = np.flatnonzero(crack)
     at = at[np.unique(facet_keys(facets[at], len(points)), return_index=True)[1]]
     along = np.einsum("nd,nd->n", Surface(points, facets[at]).vectors, np.array([normals[k] for k in labels[at]]))
-    faces = np.where(along[:, None] > 0, facets[at], facets[at, ::-1])
-    names, number = [*names, *right.values()], {label: len(names) + k for k, label in enumerate(right)}
-    elements, facets, is_open, origin = opened(elements, np.concatenate([facets[~crack], faces, faces[:, ::-1]]),
-                                               len(points))
-    labels = np.concatenate([labels[~crack], labels[at], [number[k] for k in labels[at]]]).astype(np.int64)
-    return points[origin], elements, facets[is_open], labels[is_open], names, *bodies
+    faces, left = np.where(along[:, None] > 0, facets[at], facets[at, ::-1]), labels[at]
+    facets, labels = facets[~crack], labels[~crack]
+    while True:
+        every = np.concatenate([facets, faces, faces[:, ::-1]])
+        opened_elements, sides, is_open, origin = opened(elements, every, len(points))
+        if is_open.all():
+            break
+        closed = np.flatnonzero(~is_open[len(facets):len(facets) + len(faces)])
+        # one facet more is cut each time, and opens
+        points, elements, faces, left, body = _cut_middles(points, elements, faces, left, body, closed)
+    number = {label: len(names) + k for k, label in enumerate(right)}
+    labels = np.concatenate([labels, left, [number[k] for k in left]]).astype(np.int64)
+    return points[origin], opened_elements, sides, labels, [*names, *right.values()], body, bodies
+
+
+def _cut_middles(points: np.ndarray, elements: np.ndarray, faces: np.ndarray, labels: np.ndarray, body: np.ndarray,
+                 closed: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The tables with a node in the middle of closed facets, of those that share an element of one."""
+    table = facet_table(elements, len(points))
+    row = table.find(facet_keys(faces[closed], len(points)))
+    cells = np.stack([table.first[row], table.second[row]], axis=1)
+    alone = np.isin(np.arange(cells.size), np.unique(cells, return_index=True)[1]).reshape(cells.shape).all(axis=1)
+    closed, cells = closed[alone], cells[alone]
+    corners, middle = faces[closed], len(points) + np.arange(len(closed))[:, None]
+    parts = [np.where(elements[cells] == corners[:, k, None, None], middle[:, None], elements[cells])
+             for k in range(corners.shape[1])]
+    pieces = [np.where(corners == corners[:, k, None], middle, corners) for k in range(corners.shape[1])]
+    old = cells.ravel()
+    return (np.concatenate([points, points[corners].mean(axis=1)]),
+            np.concatenate([np.delete(elements, old, axis=0), *(part.reshape(len(old), -1) for part in parts)]),
+            np.concatenate([np.delete(faces, closed, axis=0), *pieces]),
+            np.concatenate([np.delete(labels, closed), *[labels[closed]] * len(pieces)]),
+            np.concatenate([np.delete(body, old), *[body[old]] * len(parts)]))
 
 
 def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArrays:
