@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import pandas as pd
 
@@ -98,6 +98,9 @@ class Study:
     >>> table["work"].tolist()
     [2.5, 4.5]
     """
+
+    #: seconds of runs that this process claims ahead of others that compute the same study
+    AHEAD_S: ClassVar[float] = 0.25
 
     def __init__(self, run: RunFunction, parameters: DesignLike,
                  store: str | os.PathLike[str] | None = None, *, name: str | None = None,
@@ -262,17 +265,21 @@ class Study:
     def _claimed(self, todo: Sequence[Point], stored: Mapping[str, Record], owner: str) -> Iterator[Point | None]:
         """Yield the points that this process claims, None while others compute the rest. What another has stored
         meanwhile is left out."""
-        left = list(todo)
+        left, count = list(todo), 1
         while left:
-            held = []
-            for point in left:
-                key = canonical(point)
-                if not self._store.claim(self.name, key, owner):
-                    held.append(point)
-                elif self._store.one(self.name, key) == stored.get(key):
-                    yield point
-                else:
-                    self._store.release(owner, key)
+            held, at = [], 0
+            while at < len(left):
+                points, begin = left[at:at + count], time.perf_counter()
+                keys, at = [canonical(point) for point in points], at + count
+                for point, key, ours in zip(points, keys, self._store.claim(self.name, keys, owner), strict=True):
+                    if not ours:
+                        held.append(point)
+                    elif self._store.one(self.name, key) == stored.get(key):
+                        yield point
+                    else:
+                        self._store.release(owner, key)
+                # a claim takes a write to the disk: next as many runs as take AHEAD_S at the present speed
+                count = max(1, min(2 * count, int(len(points) * self.AHEAD_S / (time.perf_counter() - begin))))
             if len(held) == len(left):
                 yield None
             left = held
