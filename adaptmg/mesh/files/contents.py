@@ -140,7 +140,7 @@ def _some(names: Sequence[str]) -> str:
 def _labelled(tables: _Tables, table: FacetTable, contents: Contents, wanted: Sequence[str] | None, unnamed: str
               ) -> tuple[_Tables, list[str]]:
     """With the facets that have names: of the boundary, and between bodies."""
-    dim, n = tables.elements.shape[1] - 1, len(tables.points)
+    n = len(tables.points)
     open_ = (table.counts == 1) | (tables.body[table.first] != tables.body[table.second])
     keys, facets = table.keys[open_], table.facets[open_]
     held: dict[str, np.ndarray] = {}
@@ -149,13 +149,13 @@ def _labelled(tables: _Tables, table: FacetTable, contents: Contents, wanted: Se
         found = [simplices(kind, nodes)[0] for kind, nodes in blocks if len(nodes)]
         rows = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(facet_keys(f, n) for f in found)]))
         held[name] = np.flatnonzero(np.isin(keys, rows, assume_unique=True))
+    between = _between(contents) if contents.node_sets else []
     for name, nodes in contents.node_sets.items():
         inside = np.zeros(n, dtype=bool)
         inside[nodes] = True
-        for kind, cells, _ in contents.cells:
+        for middle in between:
             # a set of corners means the middle nodes between them too
-            for k, ends in enumerate(middles(kind) if dimension(kind) == dim else ()):
-                inside[cells[inside[cells[:, ends]].all(axis=1), cells.shape[1] - len(middles(kind)) + k]] = True
+            inside[middle[inside[middle[:, 1:]].all(axis=1), 0]] = True
         if wanted is None and inside[tables.elements].all():
             notes.append(f"set of all nodes, which is not taken for a boundary: {name!r}")
         else:
@@ -181,6 +181,16 @@ def _labelled(tables: _Tables, table: FacetTable, contents: Contents, wanted: Se
         checks.boundary_name("the name of a boundary or body", name)
     named = label > 0
     return replace(tables, facets=facets[named], label=label[named], boundaries=[unnamed, *held]), notes
+
+
+def _between(contents: Contents) -> list[np.ndarray]:
+    """Rows of a middle node and the corners that it lies between, by the number of these."""
+    rows: dict[int, list[np.ndarray]] = {}
+    for kind, cells, _ in contents.cells:
+        for k, ends in enumerate(middles(kind), cells.shape[1] - len(middles(kind))):
+            rows.setdefault(len(ends), []).append(cells[:, (k, *ends)])
+    found = [np.concatenate(parts) for parts in rows.values()]
+    return [one[np.unique(one[:, 0], return_index=True)[1]] for one in found]
 
 
 def _split(tables: _Tables) -> _Tables:

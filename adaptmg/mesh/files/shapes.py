@@ -72,28 +72,20 @@ def kind_of(shape: str, n: int) -> str | None:
 @cache
 def facets_of(kind: str) -> tuple[tuple[str, Corners], ...]:
     """Kind and local nodes of each facet of a cell."""
-    shape, n = KINDS[kind]
     result = []
-    for corners in FACETS[shape]:
+    for corners in FACETS[KINDS[kind][0]]:
         k = len(corners)
         ring = list(zip(corners, corners[1:] + corners[:1], strict=True))[:1 if k == 2 else k]
-        between = [_middle(kind, *edge) for edge in ring] if n > _CORNERS[shape] else []
-        centre = [_centre(kind, corners)] if k == 4 else []
-        local = (*corners, *between, *(c for c in centre if c is not None))
+        between = [_middle(kind, *edge) for edge in ring] + [_middle(kind, *corners)] * (k == 4)
+        local = (*corners, *(node for node in between if node is not None))
         result.append((kind_of({2: "line", 3: "triangle", 4: "quad"}[k], len(local)), local))
     return tuple(result)
 
 
-def _centre(kind: str, corners: Corners) -> int | None:
-    """The node in the middle of some corners."""
-    places = {frozenset(ends): _CORNERS[KINDS[kind][0]] + i for i, ends in enumerate(middles(kind))}
-    return places.get(frozenset(corners))
-
-
-def _middle(kind: str, a: int, b: int) -> int:
-    """The node halfway between two corners, of an edge, of a diagonal of a face or of a brick."""
-    candidates = [_CORNERS[KINDS[kind][0]] + i for i, ends in enumerate(middles(kind)) if a in ends and b in ends]
-    return a if a == b else candidates[0]
+def _middle(kind: str, *corners: int) -> int | None:
+    """The node halfway between corners of an edge, a diagonal, or a face; None if there is none."""
+    found = [_CORNERS[KINDS[kind][0]] + i for i, ends in enumerate(middles(kind)) if set(corners) <= set(ends)]
+    return corners[0] if len(set(corners)) == 1 else found[0] if found else None
 
 
 Parts = list[tuple[tuple[Corners, ...], Corners]]
