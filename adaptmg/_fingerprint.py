@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import dis
-import enum
 import functools
 import hashlib
 import importlib
@@ -179,11 +178,7 @@ class _Parts:
         return version is None
 
     def _hash(self, value: object, files: bool = False) -> str:
-        try:
-            content = _pickled(value, self, files)
-        except ValueError:  # an object that contains itself
-            content = _pickled(value, self, files, fast=False)
-        return hashlib.sha256(content).hexdigest()[:16]
+        return hashlib.sha256(_pickled(value, self, files)).hexdigest()[:16]
 
     def _function(self, name: str, function: FunctionType) -> None:
         code, namespace, values = function.__code__, function.__globals__, {}
@@ -258,8 +253,6 @@ class _Pickler(pickle.Pickler):
                                        "seed that is a parameter")
         if self.files and isinstance(value, Path):
             return "file", _content(value)
-        if isinstance(value, enum.Enum):  # early releases of Python 3.11 pickle the name alone
-            return kind, value._name_, value._value_
         caches = any(type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values())
         if not found.is_own(module) and not (caches and kind.__reduce__ is object.__reduce__):
             return None
@@ -284,11 +277,12 @@ def _held(value: typing.Any, found: _Parts) -> tuple[object, ...]:
     return kind, held, next((base(value) for base in _BASES if isinstance(value, base)), None)
 
 
-def _pickled(value: object, found: _Parts, files: bool = False, fast: bool = True) -> bytes:
+def _pickled(value: object, found: _Parts, files: bool = False) -> bytes:
     buffer = io.BytesIO()
     pickler = _Pickler(buffer, 5)
-    # without references to what was pickled before, which depend on whether equal strings are one object
-    pickler.fast, pickler.found, pickler.files, pickler.held = fast, found, files, {}
+    # without references to what was pickled before, which depend on whether equal strings are one object; lists and
+    # dictionaries that contain themselves are refused
+    pickler.fast, pickler.found, pickler.files, pickler.held = True, found, files, {}
     pickler.dump(value)
     return buffer.getvalue()
 
