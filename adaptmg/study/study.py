@@ -105,13 +105,14 @@ class Study:
     def __init__(self, run: RunFunction, parameters: DesignLike,
                  store: str | os.PathLike[str] | None = None, *, name: str | None = None,
                  fixed: Mapping[str, Value] | None = None, depends: Mapping[str, object] | None = None) -> None:
-        _check_run_function(run)
         self._function, self._depends = run, dict(depends or {})
+        self._fingerprint()
+        if inspect.iscoroutinefunction(run) or inspect.isgeneratorfunction(run) or inspect.isasyncgenfunction(run):
+            raise TypeError(f"run must return a dict, but {run.__name__} is a generator or a coroutine")
         self.fixed = {key: parameter_value(key, value) for key, value in (fixed or {}).items()}
         self.name = run.__name__ if name is None else checks.boundary_name("name", name)
         self.design = as_design("parameters", parameters)
         _check_names(run, self.design.names, self.fixed)
-        self._fingerprint()
         self._store = Store(store)
         self._files = Folder(self._store.path)
 
@@ -324,14 +325,6 @@ def _executor(workers: int | None, scheduler: str | Client | Cluster | None, run
     from adaptmg.study.cluster import opened
 
     return opened(workers, scheduler, runs, memory_limit)
-
-
-def _check_run_function(run: RunFunction) -> None:
-    """Refuse other callables than plain functions: on what they depend cannot be seen."""
-    if not inspect.isfunction(run):
-        raise TypeError(f"run must be a plain function (def), got {run!r}; give constants with fixed={{...}}")
-    if inspect.iscoroutinefunction(run) or inspect.isgeneratorfunction(run) or inspect.isasyncgenfunction(run):
-        raise TypeError(f"run must return a dict, but {run.__name__} is a generator or a coroutine")
 
 
 def _check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Value]) -> None:
