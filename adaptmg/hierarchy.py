@@ -476,7 +476,7 @@ def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     of_element = cast(np.ndarray, mesh.element_body)
     body[mesh.elements] = of_element[:, None]
     of = {name: set(body[mesh.boundary_nodes(name)].tolist()) for name in mesh.boundaries}
-    pairs = [one for one in cast(tuple, (*problem.contact, *problem.ties)) if not isinstance(one, Contact)]
+    pairs = [one for one in cast(tuple, problem.contact) + cast(tuple, problem.ties) if not isinstance(one, Contact)]
     paired = {frozenset(ends) for pair in pairs
               for ends in product(of.get(pair.slave, ()), of.get(pair.master, ()))}
     apart = [ends for ends in combinations(np.unique(of_element).tolist(), 2) if frozenset(ends) not in paired]
