@@ -97,9 +97,10 @@ def tip_of(mesh: MeshArrays, crack: str, number: int) -> Tip:
 
 
 def stress_intensity(mesh: MeshArrays, displacement: np.ndarray, data: StressData, crack: str, number: int,
-                     radius: float | None, nodes: np.ndarray, sides: np.ndarray, tractions: np.ndarray
-                     ) -> StressIntensity:
-    """The factors at a tip; ``tractions`` (n, 2) act on the boundaries ``sides`` (n,) at nodes (n,) in contact."""
+                     radius: float | None, nodes: np.ndarray, sides: np.ndarray, forces: np.ndarray,
+                     weights: np.ndarray) -> StressIntensity:
+    """The factors at a tip; ``forces`` (n, 2) act on the boundaries ``sides`` (n,) at nodes (n,) in contact, to which
+    so much (n,) of these belongs."""
     tip, faces = tip_of(mesh, crack, number), [f"{crack}.left", f"{crack}.right"]
     r = np.abs(tip.local(mesh.points))
     # what is not the straight crack stays outside
@@ -116,8 +117,9 @@ def stress_intensity(mesh: MeshArrays, displacement: np.ndarray, data: StressDat
         raise ValueError(f"the mesh is too coarse at tip {number} of {crack!r}: a radius of {outer:.3g} m must be at "
                          f"least {_ELEMENTS} elements, which are {size:.3g} m there; refine it")
     own = np.isin(sides, faces) & (r[nodes] > _NEAR * outer) & (r[nodes] < tip.straight - _NEAR * outer)
-    on_left = np.where(sides[own] == tip.upper, 1.0, -1.0)[:, None] * tractions[own] @ tip.axes.T
-    fit = np.linalg.lstsq((r[nodes[own], None] / outer) ** np.arange(3), on_left, rcond=None)[0]
+    root = np.sqrt(weights[own])[:, None]
+    on_left = np.where(sides[own] == tip.upper, 1.0, -1.0)[:, None] * forces[own] @ tip.axes.T
+    fit = np.linalg.lstsq(root * (r[nodes[own], None] / outer) ** np.arange(3), on_left / root, rcond=None)[0]
     gradient = tip.axes @ displacement_gradient(mesh, displacement) @ tip.axes.T
     stress = tip.axes @ data.tensors(mesh, displacement)[:, :2, :2] @ tip.axes.T
     body = mesh.element_body[np.argmin(r[mesh.elements].mean(axis=1))]

@@ -32,7 +32,8 @@ def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -
                          f"{tuple(nearest.tolist())}. Graded meshes of plane domains have a node at any point of a "
                          "straight edge; otherwise take a point that is a node of every mesh")
     if len(near) > 1:
-        raise ValueError(f"{text}: {len(near)} nodes lie there, of bodies that touch: say body=...")
+        raise ValueError(f"{text}: {len(near)} nodes lie there, of bodies that touch (say body=...), or on both faces "
+                         "of a crack (take another point)")
     return int(near[0])
 
 

@@ -182,6 +182,8 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
                     number[end] = len(part)
                     part.append(len(part) + n)
             u, v = number[p], number[q]
+            if u == v:
+                raise ValueError(f"cracks[{name!r}] has the point {p} twice in a row")
             if body.winding(0.5 * np.add(p, q)) != 1:
                 raise ValueError(f"cracks[{name!r}] leaves the body between {p} and {q}")
             if part[u] == part[v]:

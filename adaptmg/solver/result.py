@@ -289,7 +289,7 @@ class Result:
                              "have K_I and K_II here")
         return stress_intensity(self.mesh, self.displacement, data, checks.boundary_name("crack", crack),
                                 checks.integer("tip", tip, 0), radius, contact.node,
-                                np.array(contact.names)[contact.boundary], contact.force / contact.weights[:, None])
+                                np.array(contact.names)[contact.boundary], contact.force, contact.weights)
 
     @property
     def energy(self) -> float:

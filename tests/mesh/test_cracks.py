@@ -106,6 +106,7 @@ test_refused = refused(
     (lambda: am.Cracked(PLATE, {}), "name one crack"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1)]}), "2 points or more"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1), (5, 1)]}), r"cracks\['a'\] leaves the body|meet"),
+    (lambda: am.Cracked(PLATE, {"a": [(1, 1), (1, 1), (2, 1)]}), "twice in a row"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 0), (1, 3)]}), "in two"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1), (2, 1), (2, 2), (1, 1)]}), "in two"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1), (2, 2)], "b": [(1, 2), (3, 1)]}), r"cracks: edges .* meet"),
