@@ -44,9 +44,9 @@ from .solver.certificate import Certificate as Certificate
 from .solver.linear import AMG as AMG, Direct as Direct
 from .solver.load_path import PathResult as PathResult, solve_path as solve_path
 from .solver.multigrid import FullMultigrid as FullMultigrid, Multigrid as Multigrid
+from .solver.projected import SingleGrid as SingleGrid
 from .solver.record import Status as Status
 from .solver.result import NotConverged as NotConverged, Result as Result
-from .solver.single_grid import SingleGrid as SingleGrid
 from .solver.solve import solve as solve
 from .solver.truncated import Truncated as Truncated
 from .study.study import Study as Study

@@ -1,4 +1,5 @@
-"""ProjectedRun: cycles of contact problems on all levels, for corrections that transport contact data.
+"""Projected methods: SingleGrid, projected SOR on one grid, the paper's 'regular resolution'; and ProjectedRun, cycles
+of contact problems on all levels, for corrections that transport contact data.
 
 The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.corrections`.
 """
@@ -9,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.corrections import Correction, InitialContact, correction_levels
 from adaptmg.multigrid.cycle import (
@@ -21,10 +23,12 @@ from adaptmg.multigrid.cycle import (
     prolonged_start,
 )
 from adaptmg.smoother.factorisation import Condensed, condense
-from adaptmg.smoother.gauss_seidel import Smoother
+from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
+from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
+from adaptmg.solver.examine import Sizes
 from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, StopTest, WholeSteps, iterate
-from adaptmg.solver.record import Outcome, Run
+from adaptmg.solver.record import Outcome, Run, Status
 
 
 @dataclass(eq=False, kw_only=True)
@@ -155,3 +159,128 @@ class _Cycles(Smoothing):
 
     def _sweep(self, sweeps: int) -> None:
         self.multigrid.smooth(self.level, self.local.contact, self.local.load, self.unknowns, sweeps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SingleGrid:
+    """Projected Gauss-Seidel / SOR on the finest grid alone.
+
+    Parameters
+    ----------
+    omega : float
+        Over-relaxation, 0 < omega < 2; the best value depends on the mesh.
+    condensed : bool
+        Eliminate all but the contact dofs first (one factorisation, reported as time, not as work units) and sweep
+        on the dense Schur complement, whose entries are counted.
+    stop : {"error", "change"}
+        Test the estimated relative A-norm error and the natural residual, or (as the paper) the relative Euclidean
+        change in one sweep alone.
+    rtol : float
+        Tolerance of that test; where initial strains act, relative to u without what expands freely.
+    max_sweeps : int
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.solve(grids, am.SingleGrid(omega=1.5)).status.name
+    'CONVERGED'
+    """
+
+    omega: float = 1.0
+    condensed: bool = False
+    stop: str = "error"
+    rtol: float = 1e-8
+    max_sweeps: int = 200_000
+
+    def __post_init__(self) -> None:
+        ProjectedGaussSeidel(omega=self.omega)  # which checks omega
+        checks.flag("condensed", self.condensed)
+        checks.choice("stop", self.stop, ("error", "change"))
+        object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
+        checks.integer("max_sweeps", self.max_sweeps, 1)
+
+    def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+        hierarchy.finest.discrete.need_no_volumes("SingleGrid")
+        with run.phase("setup"):
+            local = local_system(hierarchy.finest.discrete)
+        problem, sizes, restrict, recover = local, Sizes(local.discrete, local.frames), np.asarray, np.asarray
+        if self.condensed:
+            with run.phase("factorise"):
+                condensed = condense(local)
+                if not condensed.by_nodes:
+                    raise ValueError("condensed=True needs more contact nodes: with all but one fixed, a body that "
+                                     "only contact holds can still move; use condensed=False")
+                problem, sizes = condensed.problem, _CondensedSizes(condensed)
+                restrict, recover = condensed.restrict, condensed.recover
+        unknowns = restrict(np.zeros(local.system.n_dofs) if start is None else local.to_local(start))
+        project(problem, unknowns)
+        # the Schur complement measures the energy of the error of the recovered solution
+        reference = None if run.reference is None else restrict(local.to_local(run.reference))
+        sweeps = _Sweeps(problem, self, run, unknowns, Measure(problem, run=run, reference=reference, sizes=sizes))
+
+        def shortfall(rtol: float) -> float:
+            return run.shortfall(local.to_cartesian(recover(unknowns)), rtol)
+
+        with run.phase("sweeps"):
+            if self.stop == "change":
+                stop = ChangeTest(self.rtol, self.max_sweeps)
+                status = WholeSteps(sweeps, corrects=False).run(stop, run)
+            else:
+                stop = StopTest(self.rtol, self.max_sweeps, shortfall, stalled=Status.CYCLING)
+                status = iterate(sweeps, stop, run)
+        run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
+        with run.phase("factorise" if self.condensed else "sweeps"):
+            solved = local.to_cartesian(recover(unknowns))
+        return Outcome(solved, status, sweeps.cycles, self.rtol, stop.error_estimate,
+                       stop.rate ** (1 / sweeps.batch) if np.isfinite(stop.rate) else np.nan)
+
+
+class _CondensedSizes(Sizes):
+    """Sizes of the whole solution, from the unknowns at the contact nodes alone."""
+
+    def __init__(self, condensed: Condensed) -> None:
+        full = condensed.full
+        super().__init__(full.discrete, full.frames)
+        self._condensed = condensed
+        hidden = condensed.recover(np.zeros(condensed.problem.system.n_dofs))
+        # the energy that the Schur complement does not see
+        self._hidden = float(np.einsum("i,i->", hidden, full.system.matrix @ hidden))
+
+    def norm(self, unknowns: np.ndarray, energy: float) -> float:
+        return super().norm(self._whole(unknowns), energy + self._hidden)
+
+    def forces(self, unknowns: np.ndarray, contact: float) -> float:
+        return super().forces(self._whole(unknowns), contact)
+
+    def _whole(self, unknowns: np.ndarray) -> np.ndarray:
+        asked = self.prescribed or self._problem.strain_free is not None
+        return self._condensed.recover(unknowns) if asked else unknowns
+
+
+class _Sweeps(Smoothing):
+    """Batches of sweeps, each followed by a residual; those that reach no new smallest change are cycling."""
+
+    #: sweeps between the first checks; later checks come every CHECK_SHARE of the sweeps done
+    FIRST_CHECK, CHECK_SHARE = 10, 0.1
+
+    def __init__(self, problem: LocalProblem, options: SingleGrid, run: Run, unknowns: np.ndarray, measure: Measure
+                 ) -> None:
+        super().__init__(measure, unknowns)
+        self.problem, self.options, self.run, self.batch = problem, options, run, 1
+        self._smoother = ProjectedGaussSeidel(omega=options.omega)
+
+    def smooth(self) -> int:
+        system = self.problem.system
+        if self.options.stop == "error":
+            self.batch = max(self.FIRST_CHECK, int(self.CHECK_SHARE * self.cycles))
+        times = min(self.batch, self.options.max_sweeps - self.cycles)
+        passes = self._smoother.smooth(system, self.problem.contact, self.problem.load, self.unknowns, times)
+        self.run.count(passes, system.nonzeros)
+        return times
+
+    def residual(self) -> np.ndarray:
+        self.run.count(1, self.problem.system.nonzeros)
+        return residual(self.problem.system, self.problem.load, self.unknowns)
+
+    def correct(self, r: np.ndarray) -> int:
+        return 0
