@@ -18,6 +18,7 @@ right-hand side at c is chosen so that :math:`w_c` comes out as required.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,6 +32,17 @@ from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system, tur
 
 #: dofs up to which factorisations take over where cycles do not converge, by dimension
 FACTORISED = {2: 200_000, 3: 60_000}
+#: entries in a row of a matrix of linear elements
+_ENTRIES = {2: 15, 3: 45}
+
+
+def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED) -> bool:
+    """Whether a problem has at most the work for factors that linear elements with these numbers of dofs have."""
+    entries, n = problem.matrix.nnz, problem.n_dofs
+    if problem.volumes is not None:
+        # every second entry that its rows bring to the formed matrix is one of the other rows, too
+        entries += 0.5 * np.sum(np.diff(problem.volumes.rows.indptr).astype(float) ** 2)
+    return bool(max(entries / _ENTRIES[problem.dim], n) <= most[problem.dim])
 
 
 def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:

@@ -23,7 +23,7 @@ from adaptmg._text import brief
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.corrections import Correction, Monotone
 from adaptmg.multigrid.cycle import CoarseSolve, Cycle, NestedStart
-from adaptmg.smoother.factorisation import FACTORISED
+from adaptmg.smoother.factorisation import factorisable
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.projected import ProjectedRun
@@ -198,7 +198,7 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
     """The outcome, or where it leaves cycles to another method that of this one."""
     problem = hierarchy.finest.discrete
     start = outcome.displacement if outcome.better else None
-    if outcome.left and problem.n_dofs <= FACTORISED[problem.dim]:
+    if outcome.left and factorisable(problem):
         for first in (start, None) if outcome.better else (None,):
             # from an interior point the second time
             solver = ActiveSet(rtol=outcome.rtol, max_steps=max(outcome.left, 1),

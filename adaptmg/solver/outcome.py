@@ -24,6 +24,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import held_directions
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
@@ -52,7 +53,7 @@ def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy,
         return _levels_that_pay(grids) if grids.discretised else (grids, Multigrid(), "")
     level, n_dofs = grids.finest, grids.finest.discrete.n_dofs
     why = f"for one mesh of {n_dofs} unknowns the quickest is "
-    if n_dofs > FACTORISED[level.discrete.dim]:
+    if not factorisable(level.discrete, FACTORISED):
         with suppress(ValueError):  # nothing to coarsen
             made = Hierarchy.algebraic(level.discrete)
             levels = (*made.levels[:-1], replace(made.finest, mesh=level.mesh_or_none))

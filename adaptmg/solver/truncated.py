@@ -37,7 +37,7 @@ from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_p
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.multigrid.volume_pressures import VolumePressures, prolonged_pressures
-from adaptmg.smoother.factorisation import FACTORISED
+from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import coarsest_solution
 from adaptmg.solver.examine import ROUNDING, Sizes
 from adaptmg.solver.iterate import State, StopTest, iterate, true_error
@@ -343,7 +343,7 @@ class TruncatedRun:
         del unknowns  # long vectors limit the size of a problem
         with self.run.phase("cycles"):
             cycles = TruncatedIteration(step, problem, self.rtol, self.max_cycles, run=self.run, start=start,
-                                        nested=nested, hands_over=problem.n_dofs <= FACTORISED[problem.dim],
+                                        nested=nested, hands_over=factorisable(problem),
                                         coarse=partial(self._coarse_contact, step) if len(problem.contact) else None,
                                         costly=self.cycle.levels[0].matrix.n_dofs > CoarseContact.MOST)
             status = iterate(cycles, cycles, self.run)

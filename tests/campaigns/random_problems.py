@@ -116,6 +116,28 @@ def random_problem(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
     return what | {"kind": kind, "levels": len(grids)}, grids
 
 
+def random_rubber(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+    """A random problem with smoothed elements and Poisson's ratios from .4 to .5, of some pairs of one body alone."""
+    rng = np.random.default_rng((seed, 33))
+    what, grids = random_problem(seed)
+    if what["dim"] == 3 and grids.finest.n_nodes > 1500:  # factors of the exact solution
+        grids = grids.truncated(finest=len(grids) - 2)
+        what["nodes"] = grids.finest.n_nodes
+
+    def soft(material: am.PlaneStrain) -> am.PlaneStrain:
+        ratios = rng.uniform(0.4, 0.5), 0.5 - 10 ** rng.uniform(-6, -1.2), 0.4999, 0.5
+        return replace(material, poisson=float(rng.choice(ratios)))
+
+    own = grids.problem.material
+    if isinstance(own, dict):
+        own = {name: soft(one) if rng.random() < 0.75 else one for name, one in own.items()}
+        what["poisson"] = [one.poisson for one in own.values()]
+    else:
+        own = soft(own)
+        what["poisson"] = own.poisson
+    return what, grids.with_problem(replace(grids.problem, material=own, elements="smoothed", reference={}))
+
+
 def _pair_in_3d(rng: np.random.Generator) -> tuple[dict[str, Any], am.Hierarchy]:
     """A block on a wider one, meshes that do not match."""
     width = SIDE * float(rng.uniform(1.2, 1.8))
