@@ -34,13 +34,7 @@ from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import held_directions
 from adaptmg.estimate.adjoint import LinearisedContact
-from adaptmg.geometry.quadrature import (
-    AXISYMMETRIC_DEGREE,
-    PLAIN_DEGREE,
-    quadrature_points,
-    quadrature_rule,
-    simplex_rule,
-)
+from adaptmg.geometry.quadrature import integration, quadrature_points, simplex_rule
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import BodyForce, InitialStrain, Spring
@@ -157,12 +151,11 @@ class EdgeBubbles:
         but for what is over r."""
         result = []
         mesh, (first, second), g = self.mesh, _LOCAL[self.mesh.dim].T, self._gradients
-        rule = quadrature_rule(mesh.dim + 1, AXISYMMETRIC_DEGREE if self.axisymmetric else PLAIN_DEGREE)
-        for at, share in zip(*rule, strict=True):
+        rule, places, weights = integration(mesh.points, mesh.elements, mesh.volumes, self.axisymmetric)
+        for at, place, weight in zip(rule, places.swapaxes(0, 1), weights.T, strict=True):
             gradients = 4 * (at[first, None] * g[:, second] + at[second, None] * g[:, first])
-            r = mesh.points[mesh.elements, 0] @ at if self.axisymmetric else np.ones(len(g))
+            r = place[:, 0] if self.axisymmetric else np.ones(len(g))
             over_r = self.values_at(at) / r[:, None] if self.axisymmetric else np.zeros(gradients.shape[:2])
-            weight = mesh.volumes * share * (2 * np.pi * r if self.axisymmetric else 1.0)
             result.append((weight, at, r, gradients, over_r))
         return result
 

@@ -19,6 +19,7 @@ from adaptmg._numba import kernel
 from adaptmg.discrete.recovery import recovered
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, posed
+from adaptmg.geometry.quadrature import integration
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.result import Result
 
@@ -53,7 +54,7 @@ def recovered_energy(stress: ElementStress, cells: np.ndarray, nodal: np.ndarray
     """Return energies (n_elements,) of a recovered stress, linear between nodal values on cells, minus that of the
     elements, N m."""
     mesh, squares = stress.mesh, np.empty(len(cells))
-    rule, weights = stress.rule(mesh.elements, mesh.volumes)
+    rule, _, weights = integration(mesh.points, mesh.elements, mesh.volumes, stress.axisymmetric)
     varies = stress.axisymmetric and not stress.data.smoothed
     rise = stress.rise(slice(None), mesh.elements, rule) if varies else np.zeros((0, 0))
     if stress.data.moduli is not None:

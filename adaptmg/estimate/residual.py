@@ -34,7 +34,7 @@ from adaptmg.discrete.stress import displacement_gradient
 from adaptmg.discrete.supports import held_directions
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, Posed, contact_tractions, posed
-from adaptmg.geometry.quadrature import quadrature_points
+from adaptmg.geometry.quadrature import integration
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import OPPOSITE
 from adaptmg.problem.loads import BodyForce, Load, Pressure, Spring, Traction
@@ -87,17 +87,17 @@ def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
             continue
         surface, elements = mesh.surface(name), near.owner[here]
         facets, normals = surface.facets, surface.normals
-        rule, weights = stress.rule(facets, surface.measures)
+        rule, at, weights = integration(mesh.points, facets, surface.measures, stress.axisymmetric)
         residual = -stress.tractions(elements, normals, facets, rule)
         for load in this.problem.loads:
             if isinstance(load, Pressure | Traction) and load.boundary == name:
-                residual += load_density(load, quadrature_points(mesh.points, facets, rule), normals)
+                residual += load_density(load, at, normals)
         if name in touching:
             residual += np.einsum("qk,fkd->fqd", rule, touching[name].corners)
         # there a support bears any traction
         for spring in this.problem.supports:
             if isinstance(spring, Spring) and spring.boundary == name:
-                stiffness = foundation(spring, quadrature_points(mesh.points, facets, rule), normals)
+                stiffness = foundation(spring, at, normals)
                 residual -= np.einsum("fqij,qk,fkj->fqi", stiffness, rule, this.result.displacement[facets])
         held = supports.get(name, np.empty((0, mesh.dim)))
         residual -= residual @ held.T @ held
@@ -131,7 +131,7 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
         index[contact.node[mine]] = np.arange(len(mine))
         pressure, gap, limit, traction, slip = (
             _padded(values[mine])[index[surface.facets]] for values in (pressures, gaps, limits, tractions, slips))
-        rule, weights = this.stress.rule(surface.facets, surface.measures)
+        rule, _, weights = integration(mesh.points, surface.facets, surface.measures, this.stress.axisymmetric)
         mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
         slip_part = (np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))
@@ -228,11 +228,11 @@ def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarr
     if not forces and not stress.axisymmetric:
         return None
     mesh = stress.mesh
-    rule, weights = stress.rule(mesh.elements, mesh.volumes)
+    rule, at, weights = integration(mesh.points, mesh.elements, mesh.volumes, stress.axisymmetric)
     residual = _divergence(stress, rule) if stress.axisymmetric else np.zeros((*weights.shape, mesh.dim))
     for load in forces:
         here = slice(None) if load.body is None else body_elements(mesh, load.body)
-        residual[here] += load_density(load, quadrature_points(mesh.points, mesh.elements[here], rule), None)
+        residual[here] += load_density(load, at[here], None)
     return mesh.element_sizes**2 / young * np.einsum("eqd,eqd,eq->e", residual, residual, weights)
 
 

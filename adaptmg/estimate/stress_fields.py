@@ -28,7 +28,6 @@ from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, hoop_strain
-from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, PLAIN_DEGREE, quadrature_rule
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, facet_keys
 from adaptmg.problem.contact_problem import ContactProblem
@@ -94,14 +93,6 @@ class ElementStress:
     def hoop(self) -> np.ndarray:
         """Hoop strain (n_elements,) at the centroids of axisymmetric elements, else empty."""
         return hoop_strain(self.mesh, self.displacement) if self.axisymmetric else np.empty(0)
-
-    def rule(self, cells: np.ndarray, measures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return barycentric points (n_points, k) in cells (n, k), and their weights (n, n_points): in axisymmetry 2 pi
-        r too. On facets they are exact for products of two linear functions and the weight, on elements for more."""
-        inside = self.axisymmetric and cells.shape[1] > self.mesh.dim
-        rule, weights = quadrature_rule(cells.shape[1], AXISYMMETRIC_DEGREE if inside else PLAIN_DEGREE)
-        result = measures[:, None] * weights
-        return rule, result * (2 * np.pi * (self.mesh.points[cells, 0] @ rule.T)) if self.axisymmetric else result
 
     def rise(self, elements: np.ndarray | slice, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
         """Return the hoop strain (n, n_points) at points of cells (n, k) less that at the centroids of their elements;
