@@ -23,6 +23,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.estimate.goal import Functional, GoalView
+from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import Surface
 from adaptmg.mesh.bisection.onto_domain import curved_boundaries, on_surface
 from adaptmg.problem import ContactPair
@@ -291,7 +292,7 @@ class Opening:
         mesh, point = view.posed.mesh, np.array(self.point)
         if len(point) != mesh.dim:
             raise ValueError(f"point has {len(point)} coordinates in a {mesh.dim}D problem")
-        k, shape = _nearest_facet(mesh.points, facets, point)
+        (k,), (shape,), _ = BoxTree(mesh.points, facets).nearest(point[None])
         distance = np.linalg.norm(shape @ mesh.points[facets[k]] - point)
         if distance > _OUTSIDE * np.ptp(mesh.points[facets[k]], axis=0).max():
             raise ValueError(f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}")
@@ -304,17 +305,6 @@ class Opening:
                 raise ValueError(f"point {self.point}: its neighbour, node {corner}, carries no contact condition")
         bubbles[view.bubbles.of_facets(facets[k:k + 1])[0]] = 4 * np.prod(_ends(shape[None]), axis=0)[0]
         return weights, bubbles
-
-
-def _nearest_facet(points: np.ndarray, facets: np.ndarray, x: np.ndarray) -> tuple[int, np.ndarray]:
-    corners = points[facets]
-    sides = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    inner = np.einsum("nij,nj->ni", np.linalg.pinv(sides), x - corners[:, 0])
-    shape = np.maximum(np.column_stack([1 - inner.sum(axis=1), inner]), 0.0)
-    shape /= shape.sum(axis=1, keepdims=True)
-    distance = np.linalg.norm(np.einsum("nc,ncd->nd", shape, corners) - x, axis=1)
-    k = int(np.argmin(distance))
-    return k, shape[k]
 
 
 def _ends(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

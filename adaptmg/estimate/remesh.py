@@ -31,7 +31,7 @@ from adaptmg.discrete.recovery import elements_of_nodes
 from adaptmg.estimate.estimate import Estimate, estimate_for
 from adaptmg.geometry.location import SimplexLocator
 from adaptmg.level import meshed_domain, need_domain
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem import ContactProblem
 
 #: growth of sizes per distance
@@ -173,10 +173,7 @@ class NodeCount:
     def __init__(self, mesh: MeshArrays) -> None:
         self.mesh, dim = mesh, mesh.dim
         self.inside = mesh.volumes * (_INSIDE[dim] / (dim + 1))
-        corners = mesh.points[mesh.facets]
-        sides = corners[:, 1:] - corners[:, :1]
-        measures = np.sqrt(np.linalg.det(sides @ sides.transpose(0, 2, 1))) / (dim - 1)
-        self.boundary = measures * (_BOUNDARY[dim] / dim)
+        self.boundary = Surface(mesh.points, mesh.facets).measures * (_BOUNDARY[dim] / dim)
         self.factor = 1.0
         self.factor = mesh.n_nodes / self(nodal_sizes(mesh, simplex_sizes(mesh)))
 
@@ -269,11 +266,9 @@ def _resolving(mesh: MeshArrays, sizes: np.ndarray, boundaries: Sequence[str], g
     """Sizes that leave each of some boundaries at least four edges: contact needs nodes, whatever its error."""
     result = np.array(sizes, dtype=np.float64)
     for name in boundaries:
-        facets = mesh.boundary_facets(name)
-        sides = mesh.points[facets[:, 1:]] - mesh.points[facets[:, :1]]
-        measure = np.sqrt(np.linalg.det(sides @ sides.transpose(0, 2, 1))).sum() / (mesh.dim - 1)
-        nodes = np.unique(facets)
-        result[nodes] = np.minimum(result[nodes], measure ** (1 / (mesh.dim - 1)) / _EDGES)
+        surface = mesh.surface(name)
+        size = surface.measures.sum() ** (1 / (mesh.dim - 1))
+        result[surface.nodes] = np.minimum(result[surface.nodes], size / _EDGES)
     if (result == sizes).all():
         return sizes
     return graded_sizes(mesh, result, growth)

@@ -21,6 +21,7 @@ from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d import Axes3D
 
 from adaptmg._numba import kernel
+from adaptmg.mesh.arrays import facet_table
 from adaptmg.plot.style import INK, bounds
 
 #: the largest number of triangles whose edges are drawn by default
@@ -243,11 +244,7 @@ def normals_of(corners: np.ndarray) -> np.ndarray:
 
 def sharp_edges(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
     """Return the edges (n, 2) of a surface where it bends by more than 30 degrees."""
-    normals = normals_of(points[facets])
-    edges = np.sort(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [2, 0]]]), axis=1)
-    owner = np.tile(np.arange(len(facets)), 3)
-    order = np.lexsort(edges.T)
-    edges, owner = edges[order], owner[order]
-    same = np.flatnonzero((edges[1:] == edges[:-1]).all(axis=1))
-    bend = np.einsum("ni,ni->n", normals[owner[same]], normals[owner[same + 1]])
-    return edges[same[bend < np.cos(np.pi / 6)]]
+    normals, table = normals_of(points[facets]), facet_table(facets, len(points))
+    inside = table.second >= 0
+    bend = np.einsum("ni,ni->n", normals[table.first[inside]], normals[table.second[inside]])
+    return table.facets[inside][bend < np.cos(np.pi / 6)]
