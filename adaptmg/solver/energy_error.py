@@ -41,7 +41,7 @@ SURER = 3.0
 #: steps at most, without and with Coulomb friction, which needs all directions
 _MOST, _MOST_COULOMB = 40, 16
 #: a direction whose energy is below this share of what the preconditioner makes of it is a motion that nothing holds
-_FREE = 1e-5
+FREE = 1e-5
 #: of a factorised matrix: what is added to its diagonal, solves, and the share of a residual that they may leave if
 #: nothing is free
 _SHIFT, _REFINEMENTS, _BALANCED = 1e-14, 4, 1e-6
@@ -268,7 +268,7 @@ def _estimated(matrix: sparse.bsr_array, status: FrozenStatus, residual: np.ndar
             _add(-overlap, of_other, forces)
             here -= overlap * there
             square -= overlap * overlap
-        if not square > _FREE * product:
+        if not square > FREE * product:
             return HeldCorrection(free, *total), False
         for vector in (direction, forces, here):
             vector /= np.sqrt(square)

@@ -53,7 +53,8 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         without levels of less than 4 (2D: 2) times the nodes of the next coarser one, and ``ActiveSet()`` where none
         is left and contact nodes are few. Printing the result says which and why.
     start : (n_nodes, dim) array or Result, optional
-        Where to start, m; default zero. FullMultigrid makes its own start and refuses one. With Coulomb friction there
+        Where to start, m; default zero. Of smoothed elements with Poisson's ratios above .4 a Result has the pressures,
+        too, an array begins with none. FullMultigrid makes its own start and refuses one. With Coulomb friction there
         may be several solutions (:func:`~adaptmg.cases.leaning_strut` has three), which other starts show.
     reference : (n_nodes, dim) array or Result, optional
         The exact discrete solution, m: the history then has the true relative A-norm error (``true_error``).

@@ -23,6 +23,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.solver.aggregates import Aggregates
 from adaptmg.solver.energy_error import (
     FACTORISED,
+    FREE,
     SURER,
     FrozenStatus,
     HeldCorrection,
@@ -33,8 +34,6 @@ from adaptmg.solver.energy_error import (
 
 #: least and most steps, and the share of the energy by which each of the last two may have changed it
 _LEAST, _MOST, _SETTLED = 3, 24, 0.1
-#: a direction whose energy is below this share after the others are taken off is a motion that nothing holds
-_FREE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +105,12 @@ def _estimated(equations: _Equations, precondition: Preconditioner, load: np.nda
     matrix, shares = np.empty((_MOST, _MOST)), np.empty(0)
     for step in range(1, _MOST + 1):
         new = equations.direction(*precondition(left[:n].reshape(shape)), left[n:])
-        first = float(new.values @ new.energetic)
+        product = float(left[:n] @ new.values[:n])
         for other in span:
             new.minus(float(other.values @ new.energetic), other)
         square = float(new.values @ new.energetic)
-        if not square > _FREE * first:
-            return _found(span, shares, float("inf")), False
+        if not square > FREE * product:
+            return _found(new, span, shares, float("inf")), False
         new.scale(1 / np.sqrt(square))
         span.append(new)
         for k, other in enumerate(span):
@@ -119,21 +118,21 @@ def _estimated(equations: _Equations, precondition: Preconditioner, load: np.nda
         try:
             shares = np.linalg.solve(matrix[:step, :step], [one.values @ load for one in span])
         except np.linalg.LinAlgError:
-            return _found(span, shares, float("inf")), False
+            return _found(new, span, shares, float("inf")), False
         left = load.copy()
         for share, one in zip(shares, span, strict=True):
             daxpy(one.image, left, a=-share)
         energy = float(shares @ shares)
         if (min(step, _LEAST) * SURER) ** 2 * energy <= negligible:
-            return _found(span, shares, energy), True
+            return _found(new, span, shares, energy), True
         if step >= _LEAST and max(abs(energy - last) for last in before) <= _SETTLED * energy:
-            return _found(span, shares, energy), True
+            return _found(new, span, shares, energy), True
         before = [before[1], energy]
-    return _found(span, shares, energy), False
+    return _found(new, span, shares, energy), False
 
 
-def _found(span: list[_Direction], shares: np.ndarray, energy: float) -> HeldCorrection:
-    total = sum((share * one.at_contact for share, one in zip(shares, span, strict=False)), 0 * span[0].at_contact)
+def _found(last: _Direction, span: list[_Direction], shares: np.ndarray, energy: float) -> HeldCorrection:
+    total = sum((share * one.at_contact for share, one in zip(shares, span, strict=False)), 0 * last.at_contact)
     return HeldCorrection(energy, *total)
 
 

@@ -225,6 +225,14 @@ def test_the_certificate_sees_wrong_pressures_and_displacements(posed):
     assert 0.95 <= exact.energy_error / np.sqrt(e @ (discrete.matrix @ e) / size) <= 1.4
 
 
+def test_the_certificate_sees_that_a_body_should_touch():
+    hierarchy = am.Hierarchy.uniform(with_poisson(am.cases.greco_bar(), 0.4999), (4, 8))
+    discrete, contact = hierarchy.finest.discrete, am.solve(hierarchy, am.ActiveSet()).contact
+    apart = replace(contact, force_n=0 * contact.force_n, force_t=0 * contact.force_t, state=0 * contact.state)
+    found = certify(discrete, np.zeros(discrete.n_dofs), apart, pressures=np.zeros(len(discrete.volumes)))
+    assert found.energy_error >= 0.99
+
+
 def test_the_force_of_a_rubber_roller():
     domain = quarter_cylinder(25e-3, 11e-3, above=True)
     problem = am.ContactProblem(
@@ -285,7 +293,9 @@ test_refusals = refused(
     (lambda: am.solve(grids(0.45), Forgetful()), TypeError, "with the pressures of"),
     (lambda: replace(grids(0.45).finest.discrete, volumes="none"), TypeError, "volumes must be"),
     (lambda: am.solve(grids(0.45), am.Multigrid(), start=replace(am.solve(grids(0.45)), pressures=np.zeros(3))),
-     "start.pressures must have shape"))
+     "start.pressures must have shape"),
+    (lambda: replace(am.solve(grids(0.45)), pressures=None).certificate(grids(0.45).finest.discrete),
+     "problem has .* volumes"))
 
 
 def test_a_problem_of_a_user_has_volumes(tmp_path):
