@@ -196,8 +196,8 @@ class Result:
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
             if problem.volumes is not None and np.shape(self.pressures) != (len(problem.volumes),):
-                raise ValueError(f"problem has {len(problem.volumes)} volumes, whose pressures this result has not: give "
-                                 "the problem that was solved")
+                raise ValueError(f"problem has {len(problem.volumes)} volumes, whose pressures this result has not: "
+                                 "give the problem that was solved")
             return certify(problem, self.displacement, cast("ContactClaims", self.contact), bound,
                            pressures=self.pressures)
         if bound or self.checked is None:
