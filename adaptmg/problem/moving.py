@@ -31,15 +31,16 @@ class Obstacle(Protocol):
         ...
 
 
-def _check(one: Moving | Rigid, dim: int) -> None:
-    """Check what Moving and Rigid share."""
+def _check(one: Moving | Rigid, what: str) -> None:
+    """Check what Moving and Rigid share; ``what`` has a component for each direction."""
     checks.offers("obstacle", one.obstacle, "contact", "a Plane or a GapFunction, or offer contact()")
     if isinstance(one.obstacle, Rigid):
         raise TypeError("obstacle must not be Rigid: write Rigid(Moving(...), ...)")
-    about = one.about
-    if about is None:
-        about = one.obstacle.point if isinstance(one.obstacle, Plane) else getattr(one.obstacle, "about", np.zeros(dim))
-    object.__setattr__(one, "about", check_arrays.vector("about", about, dim))
+    dim = one.dim
+    place = one.obstacle.point if isinstance(one.obstacle, Plane) else getattr(one.obstacle, "about", np.zeros(dim))
+    if len(place) != dim:
+        raise ValueError(f"{what} must have {len(place)} components, as the obstacle, got {dim}")
+    object.__setattr__(one, "about", check_arrays.vector("about", place if one.about is None else one.about, dim))
     checks.boundary_name("name", one.name)
 
 
@@ -92,7 +93,7 @@ class Moving:
         if np.ndim(turn) == 0:
             turn = (turn,) if dim == 2 or turn != 0 else np.zeros(3)
         object.__setattr__(self, "rotation", check_arrays.vector("rotation", turn, 2 * dim - 3))
-        _check(self, dim)
+        _check(self, "displacement")
 
     @property
     def dim(self) -> int:
@@ -195,7 +196,7 @@ class Rigid:
             raise ValueError("force and moment are None: use the obstacle itself, or Moving")
         if not any(force):
             raise ValueError("force must have a component other than zero: nothing would press the obstacle")
-        _check(self, dim)
+        _check(self, "force")
 
     @property
     def dim(self) -> int:

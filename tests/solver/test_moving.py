@@ -159,7 +159,7 @@ def test_what_cannot_be_found_is_refused():
     floor = am.Plane((0, 0), (0, 1))
     for make, words in ((lambda: am.Rigid(floor, force=(None, None)), "force and moment are None"),
                         (lambda: am.Rigid(floor, force=(0.0, None)), "component other than zero"),
-                        (lambda: am.Moving(floor, displacement=(0, 0, 1)), "about"),
+                        (lambda: am.Moving(floor, displacement=(0, 0, 1)), "displacement must have 2 components"),
                         (lambda: am.Moving(floor, displacement=(0, np.nan)), "displacement"),
                         (lambda: am.Preload("bolt", force=-1.0, axis="y"), "force must be > 0"),
                         (lambda: am.Preload("bolt", force=1.0, axis="w"), "axis must be")):
