@@ -97,9 +97,9 @@ class LoadPath:
         for name in self.factors:
             if name in shared:
                 kinds = " and a ".join(type(one).__name__ for one in shared[name])
-                clear = ", ".join(repr(one) for one in names if one not in shared) or "none"
+                others = [repr(one) for one in names if one not in shared]
                 raise ValueError(f"path names {name!r}, where a {kinds} act: give each a name=, and the path their "
-                                 f"names; known are {clear}")
+                                 f"names{'; known are ' * bool(others)}{', '.join(others)}")
         _check_names("path names", self.factors, names)
         return {name: self.of(name) for name in names}
 
