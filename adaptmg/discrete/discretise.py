@@ -247,7 +247,8 @@ def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
 
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
     """Raise ValueError if a body, with those glued to it, has neither a support nor a surface in contact."""
-    held = np.concatenate([*(mesh.surface(name).nodes for name in (*problem.pair_boundaries, *problem.tied_boundaries)),
+    touching = (*problem.pair_boundaries, *problem.tied_boundaries)
+    held = np.concatenate([np.empty(0, dtype=np.int64), *(mesh.surface(name).nodes for name in touching),
                            *(supported_nodes(mesh, support) for support in problem.supports)])
     for piece in nodes_of_pieces(mesh):
         if not np.isin(held, piece).any():

@@ -69,6 +69,7 @@ class ContactProblem:
     material : PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping of str to these
         Of all bodies, or of each body by its name.
     contact : Contact, ContactPair or sequence of them
+        Without any, and without ties, a problem of linear elasticity.
     law : Frictionless, Tresca, Coulomb or user-defined
         On all contact boundaries that have no law of their own; its parameters may vary in space.
     ties : Tied, Periodic or sequence of them
@@ -119,8 +120,6 @@ class ContactProblem:
             object.__setattr__(self, "material", _materials(self.material))
         checks.convert(self, checks.items, "contact", types=(Contact, ContactPair))
         checks.convert(self, checks.items, "ties", types=(Tied, Periodic))
-        if not self.contact and not self.ties:
-            raise ValueError("contact is empty: a contact problem needs a Contact, a ContactPair or ties")
         if self.law is None and all(one.law is not None for one in self.contact):
             object.__setattr__(self, "law", Frictionless())
         check_law(self.law)
