@@ -172,7 +172,7 @@ class TestData:
         assert set(am.LoadPath({"weight": [1, 2]}, default=[3, 4]).resolved(part)) == {"part", "weight"}
         # a name of one load that is the place of another
         for one in (am.Traction("top", (1.0, 0.0)), am.BodyForce((0.0, 1.0), name="top")):
-            with pytest.raises(ValueError, match=r"names .top., where a Pressure and a .* act: give each .*their names$"):
+            with pytest.raises(ValueError, match=r"'top', where a Pressure and a .* act: give each .*their names$"):
                 am.LoadPath({"top": [1, 2]}).resolved(replace(part, loads=(am.Pressure("top", 1.0), one)))
 
     @pytest.mark.parametrize("dim", [2, 3])
