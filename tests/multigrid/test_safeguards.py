@@ -7,10 +7,12 @@ import pytest
 from scipy import sparse
 
 import adaptmg as am
+from adaptmg.multigrid.coarse_contact import _eliminated
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.smoother import factorisation
 from adaptmg.smoother.factorisation import FACTORISED
 from adaptmg.solver import multigrid
 from adaptmg.solver.projected import ProjectedRun
@@ -275,3 +277,21 @@ def test_null_combinations_do_not_depend_on_units():
     found = null_combinations(rows[:3])
     assert found.shape == (4, 1) and np.abs(rows[:3] @ found).max() < 1e-12 * np.abs(rows[:3] * found.T).max()
     assert null_combinations(np.zeros((0, 4))).shape == (4, 4)
+
+
+@pytest.mark.parametrize("dense", [0, 300])
+def test_coarse_functions_that_no_fine_node_tells_apart_are_eliminated(dense, monkeypatch):
+    monkeypatch.setattr(factorisation, "_DENSE", dense)
+    rng = np.random.default_rng(4)
+    half, P = rng.normal(size=(24, 24)), rng.uniform(size=(12, 5))
+    twice = np.column_stack([P[:, :4], 0.5 * P[:, 4], 0.5 * P[:, 4]])
+    nodes, load, found = np.array([0, 2]), rng.normal(size=24), []
+    for nodal in (P, twice):
+        whole = np.kron(nodal, np.eye(2))
+        matrix = sparse.bsr_array(whole.T @ (half @ half.T) @ whole, blocksize=(2, 2))
+        parts = _eliminated(matrix, np.zeros(len(matrix.toarray()), dtype=bool), nodes, None)
+        particular, reduced = parts.reduce(whole.T @ load)
+        unknowns = np.linalg.solve(parts.matrix, reduced)
+        found.append((parts.matrix, whole @ parts.complete(particular, unknowns)))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-6 * np.abs(one).max())
