@@ -4,7 +4,7 @@ For :math:`(L + D + U)\,u = f`, stored as :class:`~adaptmg.multigrid.split_matri
 symmetric. From zero: forward (L), keeping :math:`s = f - L u`; backward (U), keeping the change :math:`\delta`; then
 the residual is :math:`-L\delta` (L). After the coarse correction: forward (L and U), keeping s; backward (U). Two
 symmetric sweeps and a residual in three passes. The sweeps go over places ``first`` to ``last`` of ``order``, see
-:class:`~adaptmg._threads.Strips`, in which the rows of halves are stored, the other kernels over nodes.
+:class:`~adaptmg.smoother.strips.Strips`, in which the rows of halves are stored, the other kernels over nodes.
 
 Restriction scatters, prolongation is fused with what follows it, both from the same arrays. A nodal prolongation P acts
 on every component, one of dofs as of nodes with one component: the length of ``zero`` (see

@@ -2,8 +2,8 @@ r"""SplitMatrix: a block matrix stored as strict lower part L, strict upper part
 
 Gauss-Seidel sweeps in turn, forward after backward, need the half that has changed only: with :math:`t = f - U u` kept
 from the backward sweep, the forward sweep is :math:`D u_i = t_i - L_i u`. A half is streamed by itself and counts as
-half a pass. L couples a node with those before it in the order of the sweeps (:class:`~adaptmg._threads.Strips`). Of a
-symmetric matrix L alone is stored where the sweeps scatter :math:`L^T`. Rows and columns of fixed dofs are zero.
+half a pass. L couples a node with those before it in the order of the sweeps, :class:`~adaptmg.smoother.strips.Strips`.
+Of a symmetric matrix L alone is stored where the sweeps scatter :math:`L^T`. Rows and columns of fixed dofs are zero.
 :func:`galerkin_levels` splits the matrices of all levels of a hierarchy.
 """
 
@@ -18,11 +18,12 @@ from scipy import sparse
 
 from adaptmg._check_arrays import indices_frozen
 from adaptmg._numba import inner_kernel, kernel, read_only
-from adaptmg._threads import LARGE, Strips, in_colours, in_parts, product, scattering
+from adaptmg._threads import LARGE, in_colours, in_parts, scattering
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level
 from adaptmg.multigrid.half_sweeps import add_prolonged, restrict
 from adaptmg.smoother.blocks import ZERO, in_loop, read, write
+from adaptmg.smoother.strips import Strips, product
 from adaptmg.transfer.galerkin import galerkin_product, seen, without_fixed
 
 

@@ -29,8 +29,9 @@ from scipy.linalg.blas import daxpy
 from scipy.sparse.linalg import splu
 
 from adaptmg._numba import kernel
-from adaptmg._threads import Strips, in_parts, sum_of_parts
+from adaptmg._threads import in_parts, sum_of_parts
 from adaptmg.smoother.blocks import ONE, ZERO, add, in_loop, read, subtract, times, transposed_times, write
+from adaptmg.smoother.strips import Strips
 from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 
 #: least steps, the share of the energy that the last one may have left, and of the least Ritz value that stays

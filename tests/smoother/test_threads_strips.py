@@ -14,6 +14,7 @@ from adaptmg.mesh.structured import structured
 from adaptmg.multigrid import half_sweeps
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.smoother import kernels
+from adaptmg.smoother import strips as strips_module
 
 
 @pytest.fixture(autouse=True)
@@ -40,8 +41,8 @@ def shuffled(dim: int, seed: int | None) -> sparse.bsr_array:
 def test_strips_of_a_colour_have_no_common_neighbour(dim, seed):
     am.set_threads(2)
     matrix = shuffled(dim, seed)
-    strips = threads.Strips.of(matrix.indptr, matrix.indices, dim * dim)
-    assert len(strips.colours) == 2 and sum(map(len, strips.colours)) > threads.FEWEST
+    strips = strips_module.Strips.of(matrix.indptr, matrix.indices, dim * dim)
+    assert len(strips.colours) == 2 and sum(map(len, strips.colours)) > strips_module.FEWEST
     np.testing.assert_array_equal(strips.order[strips.rank], np.arange(len(strips.order)))
     covered = [place for ranges in strips.colours for first, last in ranges for place in range(first, last)]
     assert covered == list(range(len(strips.order)))
@@ -108,7 +109,7 @@ def test_parts_cover_the_rows_and_pass_errors_on():
         threads.in_parts(mark, 999, 10**6)
     assert (seen == 1).all()
     matrix, v = shuffled(3, None), np.random.default_rng(0).normal(size=10125)
-    np.testing.assert_array_equal(threads.product(matrix, v), matrix @ v)
+    np.testing.assert_array_equal(strips_module.product(matrix, v), matrix @ v)
 
 
 

@@ -1,0 +1,111 @@
+"""Strips of nodes for sweeps by several threads, and the product of a matrix.
+
+A :class:`Strips` cuts the nodes of a large matrix into strips, such that a node is coupled with its own strip and one
+of the two next to it, never with both. All even strips may then be swept at the same time, and after them all odd ones:
+no strip reads or writes what another one writes, even where a sweep scatters to neighbours. The result is that of
+Gauss-Seidel over all even strips one after the other, then the odd ones. Small matrices are a single strip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import breadth_first_order
+
+from adaptmg import _threads as threads
+from adaptmg._numba import kernel, read_only
+
+#: the least number of strips that pays
+FEWEST = 4
+
+
+def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
+    """A v (n,), summed as scipy does."""
+    arrays = map(read_only, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)))
+    result, zero = np.empty(matrix.shape[0]), (0.0,) * matrix.blocksize[0]
+    threads.in_parts(_multiply, len(matrix.indptr) - 1, matrix.data.size, zero, *arrays, vector, result)
+    return result
+
+
+@kernel
+def _multiply(first, last, zero, indptr, indices, data, v, result):
+    dim = len(zero)
+    for i in range(first, last):
+        for a in range(dim):
+            total = 0.0
+            for k in range(indptr[i], indptr[i + 1]):
+                for b in range(dim):
+                    total += data[dim * (dim * k + a) + b] * v[dim * indices[k] + b]
+            result[dim * i + a] = total
+
+
+@dataclass(frozen=True, eq=False)
+class Strips:
+    """Nodes in the order of a forward sweep."""
+
+    order: np.ndarray  # (n_nodes,) int32: even strips, then odd ones
+    rank: np.ndarray  # (n_nodes,) int32: the place of a node in this order
+    colours: list[list[tuple[int, int]]]  # ranges of places that are swept at the same time
+
+    @classmethod
+    def of(cls, indptr: np.ndarray, indices: np.ndarray, block: int, stored: bool = True) -> Strips:
+        """The strips of a matrix with a symmetric pattern, sorted columns, and ``block`` entries a block. Where numbers
+        have little to do with places, strips go by distance in the graph: sweeps then jump in memory, by a third slower
+        even if rows are ``stored`` in their order, so that one thread does without."""
+        n = len(indptr) - 1
+        own = np.arange(n, dtype=np.int32)
+        if block * len(indices) < threads.LARGE:
+            return cls(own, own, [[(0, n)]])
+        order, bounds = own, _bounds(indices[indptr[1:] - 1])
+        if len(bounds) <= FEWEST and stored and threads.several():
+            order = _by_distance(indptr, indices)
+            place = np.empty_like(order)
+            place[order] = own
+            bounds = _bounds(np.maximum.reduceat(place[indices], indptr[:-1])[order])
+        if len(bounds) <= FEWEST:
+            return cls(own, own, [[(0, n)]])
+        strips = [order[first:last] for first, last in pairwise(bounds)]
+        if order is not own:
+            # in a strip in the order of the numbers: neighbours in memory
+            strips = list(map(np.sort, strips))
+        parts = [*strips[::2], *strips[1::2]]
+        ends = np.cumsum([0, *map(len, parts)]).tolist()
+        ranges, even = list(pairwise(ends)), len(strips[::2])
+        order, rank = np.concatenate(parts), np.empty_like(own)
+        rank[order] = own
+        return cls(order, rank, [ranges[:even], ranges[even:]])
+
+    def sweep(self, kernel: Callable[..., Any], *arguments: object, backward: bool = False) -> None:
+        """Call ``kernel(first, last, order, *arguments)``, which sweeps over these places, for all strips."""
+        if len(self.colours) == 1:  # quick for small matrices
+            kernel(0, len(self.order), self.order, *arguments)
+            return
+        colours = self.colours[::-1] if backward else self.colours
+        threads.in_colours(colours, kernel, self.order, *arguments, joined=True)
+
+
+def _bounds(last: np.ndarray) -> list[int]:
+    """Where strips begin and end: ``last`` (n,) is the place of the last neighbour of a node at each place."""
+    n = len(last)
+    reach = np.append(0, np.maximum.accumulate(last) + 1)  # the places before this one are not coupled beyond it
+    bounds = [0]
+    while bounds[-1] < n:
+        two_layers = int(reach[reach[bounds[-1]]])
+        bounds.append(min(max(two_layers, bounds[-1] + -(-n // (2 * threads.PARTS))), n))
+    return bounds
+
+
+def _by_distance(indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
+    """Nodes by their distance from one of them in the graph of a matrix, part by part where it falls apart."""
+    n = len(indptr) - 1
+    graph = sparse.csr_array((np.ones(len(indices), dtype=np.int8), indices, indptr), shape=(n, n))
+    new, layers = np.ones(n, dtype=bool), []
+    while new.any():
+        layers.append(breadth_first_order(graph, int(np.argmax(new)), return_predecessors=False))
+        new[layers[-1]] = False
+    return np.concatenate(layers).astype(np.int32)
