@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from adaptmg.discrete.elasticity import Materials
+from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric
 from adaptmg.discrete.loads import body_elements
+from adaptmg.discrete.smoothed import element_measures
 from adaptmg.discrete.stress import StressData, displacement_gradient
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import Preload
@@ -20,7 +21,7 @@ from adaptmg.problem.loads import Preload
 
 def cut_force(mesh: MeshArrays, data: StressData, displacement: np.ndarray, preload: Preload) -> float:
     """Tension across the cut of a preload, N; ValueError if no element of the body lies across it."""
-    elements, axis, volumes = _of_body(mesh, data, preload)
+    elements, axis = body_elements(mesh, preload.body), preload.direction
     nodes = np.unique(mesh.elements[elements])
     along = mesh.points[nodes, axis]
     at = 0.5 * (along.min() + along.max()) if preload.at is None else preload.at
@@ -31,20 +32,13 @@ def cut_force(mesh: MeshArrays, data: StressData, displacement: np.ndarray, prel
     beyond[nodes[along > at], axis] = 1.0
     slopes = displacement_gradient(mesh, beyond)[elements]
     stress = data.tensors(mesh, displacement)[elements, :mesh.dim, :mesh.dim]
+    volumes = element_measures(mesh, data.axisymmetric)[elements]
     return float(np.einsum("n,nij,nij->", volumes, stress, slopes))
 
 
 def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> float:
-    """Force, N, that a strain of 1 makes in the mean section of the body, held at both ends."""
-    data = StressData.of(mesh, material)
-    elements, axis, volumes = _of_body(mesh, data, preload)
-    k, along = mesh.bodies.index(preload.body), mesh.points[mesh.elements[elements], axis]
-    return float((data.lame[k] + 2 * data.shear[k]) * volumes.sum() / np.ptp(along))
-
-
-def _of_body(mesh: MeshArrays, data: StressData, preload: Preload) -> tuple[np.ndarray, int, np.ndarray]:
-    """Elements of the body, the number of the axis, and volumes of the elements, in axisymmetry of the whole ring."""
-    elements, volumes = body_elements(mesh, preload.body), mesh.volumes
-    if data.axisymmetric:
-        volumes = 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * volumes
-    return elements, preload.direction, volumes[elements]
+    """Force, N, that a strain of 1 makes in the mean section of the body, whose sides are free."""
+    elements, young = body_elements(mesh, preload.body), body_materials(mesh, material)[
+        mesh.bodies.index(preload.body)].young
+    volume = element_measures(mesh, is_axisymmetric(material))[elements].sum()
+    return float(young * volume / np.ptp(mesh.points[mesh.elements[elements], preload.direction]))

@@ -29,7 +29,6 @@ from adaptmg.mesh.grading import measures
 from adaptmg.mesh.netgen_guard import MAX_NODES
 from adaptmg.problem import ContactProblem, LoadPath
 from adaptmg.problem.load_path import obstacles_in_path
-from adaptmg.solver.controls import by_force
 from adaptmg.solver.store import StepStore
 
 if TYPE_CHECKING:
@@ -131,7 +130,7 @@ def adapt(problem: ContactProblem,
 
 
 def _check_obstacles(problem: ContactProblem, path: LoadPath | None) -> None:
-    if by_force(problem):
+    if problem.by_force:
         raise ValueError("problem has a Rigid obstacle or a Preload, which the estimates do not account for: give "
                          "am.adapt the motion that am.solve finds (Result.motions) as Moving or InitialStrain")
     if path is not None and obstacles_in_path(problem):

@@ -201,6 +201,12 @@ class ContactProblem:
         return isinstance(self._any_material, Axisymmetric)
 
     @property
+    def by_force(self) -> bool:
+        """Whether forces are prescribed whose motions are to be found: those of rigid obstacles, of preloads."""
+        return any(isinstance(load, Preload) for load in self.loads) or any(
+            isinstance(one, Contact) and isinstance(one.obstacle, Rigid) for one in self.contact)
+
+    @property
     def _any_material(self) -> Elastic:
         return self.material if isinstance(self.material, Elastic) else next(iter(self.material.values()))
 

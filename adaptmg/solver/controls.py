@@ -37,12 +37,6 @@ _DIFFERENCE = 0.02  # of the size of the unknowns so far
 _UNRESISTED = 1e-5  # of the largest stiffness
 
 
-def by_force(problem: ContactProblem | None) -> bool:
-    """Whether a problem prescribes forces whose motions are to be found."""
-    return problem is not None and (any(isinstance(load, Preload) for load in problem.loads) or any(
-        isinstance(one, Contact) and isinstance(one.obstacle, Rigid) for one in problem.contact))
-
-
 @dataclass(frozen=True)
 class _Unknowns:
     """The numbers of one obstacle or preload: where they begin, and what they are measured by."""

@@ -16,9 +16,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_problem, advise_on_result, once
-from adaptmg.solver.controls import by_force
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.load_path import solve_path
 from adaptmg.solver.multigrid import handed_over
 from adaptmg.solver.outcome import (
     checked_outcome,
@@ -96,7 +94,9 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     checks.flag("throw", throw)
     checks.flag("progress", progress)
     checks.optional_callable("callback", callback, "a row of the history")
-    if by_force(grids.problem):
+    if grids.problem is not None and grids.problem.by_force:
+        from adaptmg.solver.load_path import solve_path  # else a first solve does without it
+
         _refuse_by_force(start=start, reference=reference)
         watched = _watched(callback, progress)
         path = solve_path(given, LoadPath(), solver, throw=False,

@@ -124,6 +124,21 @@ def test_a_preload_is_carried_by_cut_heads_and_joint(joint):
     assert relieved + thrust == pytest.approx(at_cut[1], rel=1e-2)  # the bore's corner faces the joint's gap
 
 
+@pytest.mark.parametrize("poisson", [0.3, 0.4999, 0.5])
+def test_a_bolt_between_walls_bears_its_force_alone_and_is_found_as_fast_for_any_poissons_ratio(poisson):
+    width = 10 ** np.random.default_rng(9).uniform(-3, 1)
+    force = 1e-3 * E * width
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=E, poisson=poisson), domain=am.Rectangle(width=width, height=width),
+        elements="smoothed", law=am.Frictionless(), contact=am.Contact("right", am.Plane((1.0001 * width, 0), (-1, 0))),
+        loads=(am.Preload("body", force=force, axis="y"),),
+        supports=(am.Support("bottom", y=0), am.Support("top", y=0), am.Support("left", x=0)))
+    result = am.solve(am.Hierarchy.uniform(problem, (2, 4)), am.FullMultigrid(rtol=1e-8))
+    np.testing.assert_allclose(result.stress()[:, [0, 1, 3]] * width / force, [[0, 1, 0]] * 32, atol=1e-6)
+    assert result.motions["body"] == pytest.approx([force / width * (1 - poisson**2) / E], rel=1e-6)
+    assert result.cycles <= 50
+
+
 def test_a_stored_path_goes_on_with_its_motions(joint, tmp_path):
     grids, _ = joint
     path = am.LoadPath({"bolt": [0.5, 1, 1]}, default=[0, 0, 1])
