@@ -118,6 +118,11 @@ def adapt(problem: ContactProblem,
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "what is being done (or a bool)")
     _check_obstacles(problem, load_path)
+    if problem.elements != "linear":
+        from adaptmg.estimate.goal import Goal, need_linear  # most loops do without it
+
+        if isinstance(parts.indicator, Goal):
+            need_linear(problem)
     first = _first_hierarchy(problem, start, transfer, engine, limits)
     steps = None
     if store is not None:

@@ -30,6 +30,7 @@ from adaptmg.estimate.edge_bubbles import BubbleError, EdgeBubbles, bubble_error
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import Posed, posed
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem import ContactProblem
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
 
@@ -188,9 +189,7 @@ class Goal:
         numpy.linalg.LinAlgError if the adjoint matrix is singular.
         """
         this = posed(hierarchy, result)
-        if this.problem.elements == "smoothed":
-            raise ValueError("am.Goal estimates errors of linear elements, not of smoothed ones: take am.Recovery() or "
-                             "am.Residual() as indicator")
+        need_linear(this.problem)
         view = GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
         functionals = [one for item in self.quantities for one in checked_functionals(view, item)]
         names = tuple(one.name for one in functionals)
@@ -216,6 +215,13 @@ class Goal:
             names=names, units=tuple(one.unit for one in functionals), values=values, errors=errors,
             algebraic=algebraic, discretisation=energy, residuals=np.array([dual.residual for dual in duals]),
             iterations=sum(dual.iterations for dual in duals), converged=all(dual.converged for dual in duals))
+
+
+def need_linear(problem: ContactProblem) -> None:
+    """ValueError unless the elements of the problem are linear."""
+    if problem.elements != "linear":
+        raise ValueError("am.Goal estimates errors of linear elements, not of smoothed ones: take am.Recovery() or "
+                         "am.Residual() as indicator")
 
 
 def _sizes(functionals: list[Functional]) -> np.ndarray:

@@ -185,5 +185,7 @@ def solved_bar() -> tuple[am.Hierarchy, am.Result]:
 
 test_refusals = refused(
     (lambda: am.Goal(am.Opening("contact")).indicate(*solved_bar()), "am.Goal estimates errors of linear elements"),
+    (lambda: am.adapt(replace(am.cases.greco_bar(), elements="smoothed"), indicator=am.Goal(am.Opening("contact"))),
+     "am.Goal estimates errors of linear elements"),
     (lambda: Reference.of(*solved_bar()), "a reference must have linear elements"),
     (lambda: replace(am.cases.greco_bar(), elements="quadratic"), r"elements must be one of 'linear', 'smoothed'"))
