@@ -15,6 +15,7 @@ from adaptmg.cases.closed_forms import quarter_cylinder
 from adaptmg.discrete import elasticity, smoothed, volumes
 from adaptmg.discrete.volumes import GROUP, Volumes, volume_groups
 from adaptmg.mesh import MeshArrays, structured
+from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.solver.certificate import certify
 from adaptmg.solver.record import Outcome
 
@@ -67,6 +68,11 @@ def test_groups_have_the_mean_divergence_of_their_own_body(kind):
     assert sorted(set(groups.compliance)) == pytest.approx([0.0, 1 / (5 * 2e6 / 2.9)])
     constant = np.full(len(groups), 3.0)
     np.testing.assert_allclose(groups.of_elements(constant), 3.0 * soft)
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.4])
+def test_bodies_up_to_a_ratio_of_two_fifths_have_no_groups(poisson):
+    assert volume_groups(glued(2), am.PlaneStrain(young=1e6, poisson=poisson)) is None
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -138,6 +144,13 @@ def by_least_squares(discrete) -> np.ndarray:
     return result
 
 
+@pytest.mark.parametrize("posed", [(0.45,), (0.45, am.Solid), (0.45, am.PlaneStrain, am.Frictionless(), True)], ids=str)
+def test_uniform_pressures_go_from_level_to_level(posed):
+    coarse, fine = (level.discrete for level in grids(*posed).levels[-2:])
+    found = prolonged_pressures(coarse, fine, grids(*posed).finest.prolongation, np.full(len(coarse.volumes), 7.0))
+    np.testing.assert_allclose(found, 7.0, rtol=1e-12)
+
+
 METHODS = {"truncated": am.Multigrid(rtol=1e-9), "nested": am.FullMultigrid(rtol=1e-9), "active set": am.ActiveSet(),
            "algebraic active set": am.ActiveSet(linear=am.AMG(), rtol=1e-8)}
 
@@ -198,14 +211,15 @@ def test_cycles_do_not_depend_on_poissons_ratio_and_the_certificate_holds(case, 
         assert 0.3 <= result.checked.energy_error / np.sqrt(error / size) <= 2
 
 
-def test_the_mean_pressure_of_an_enclosed_body_costs_no_cycles():
+@pytest.mark.parametrize(("poisson", "solver"), [(0.49, am.Multigrid(rtol=1e-7)), (0.4999, am.ActiveSet())], ids=str)
+def test_the_mean_pressure_of_an_enclosed_body_costs_no_cycles(poisson, solver):
     problem = am.ContactProblem(
-        material=am.PlaneStrain(young=1e6, poisson=0.49), domain=am.Rectangle(width=1.0, height=1.0),
+        material=am.PlaneStrain(young=1e6, poisson=poisson), domain=am.Rectangle(width=1.0, height=1.0),
         elements="smoothed", law=am.Coulomb(0.3),
         supports=(am.Support("left", x=0.0), am.Support("top", x=0.0, y=-0.01)),
         contact=(am.Contact("bottom", am.Plane((0, 0), (0, 1))), am.Contact("right", am.Plane((1, 0), (-1, 0)))))
-    result = am.solve(am.Hierarchy.uniform(problem, (4, 8, 16, 32)), am.Multigrid(rtol=1e-7))
-    assert result.contact.closed.all() and not result.fallback and result.cycles <= 20
+    result = am.solve(am.Hierarchy.uniform(problem, (4, 8, 16, 32)), solver)
+    assert not result.fallback and result.cycles <= (20 if isinstance(solver, am.Multigrid) else 60)
 
 
 @pytest.mark.parametrize("posed", [(0.4999, am.PlaneStrain, am.Coulomb(0.3), True), (0.5, am.Solid)], ids=str)
@@ -223,6 +237,13 @@ def test_the_certificate_sees_wrong_pressures_and_displacements(posed):
     u, e = (discrete.relative(one).reshape(-1) for one in (result.displacement, bent - result.displacement))
     size = u @ (discrete.matrix @ u) + discrete.volumes.energy(result.pressures)
     assert 0.95 <= exact.energy_error / np.sqrt(e @ (discrete.matrix @ e) / size) <= 1.4
+
+
+def test_the_certificate_follows_friction_that_the_pressure_drags():
+    hierarchy = am.Hierarchy.uniform(with_poisson(am.cases.greco_bar(), 0.45), (4, 8, 16))
+    result = am.solve(hierarchy, am.Multigrid(rtol=1e-3))
+    exact = result.certificate(hierarchy.finest.discrete, bound=True)
+    assert result.certificate(hierarchy.finest.discrete).energy_error == pytest.approx(exact.energy_error, rel=0.05)
 
 
 def test_the_certificate_sees_that_a_body_should_touch():
@@ -266,11 +287,12 @@ def test_load_paths_carry_pressures_from_step_to_step(method, tmp_path):
 
 
 def test_adaptive_loops_start_from_the_pressures_of_the_step_before():
-    last = None
+    last, multigrid = None, am.Multigrid(rtol=1e-6)
     for last in am.adapt(seal(0.4999), start=0.2, max_nodes=400):
         assert last.result.status.ok and not last.result.fallback and last.result.cycles <= 20 + 10 * (last.number == 0)
-    start = am.solve(last.hierarchy, am.Multigrid(rtol=1e-9), start=last.result)
-    assert last.number > 0 and start.cycles < 0.7 * am.solve(last.hierarchy, am.Multigrid(rtol=1e-9)).cycles
+    from_zero = am.solve(last.hierarchy, multigrid).cycles
+    assert last.number > 0 and last.result.cycles <= 0.8 * from_zero
+    assert am.solve(last.hierarchy, multigrid, start=last.result).cycles <= 2
 
 
 class Forgetful:
