@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Unknowns
 from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.mortar.interface import MortarInterface
@@ -64,8 +65,18 @@ def tie_interfaces(ties: Sequence[Tied | Periodic], mesh: MeshArrays, held: Held
             parts.append(pair_interface(mesh, pair, held=held, excluded=own[taken[own]], axisymmetric=axisymmetric))
         except ValueError as error:
             raise ValueError(str(error).replace("contact pair", "tie", 1)) from error
+        if tie.reach is None:
+            _warn_of_gaps(tie, mesh, np.abs(parts[-1].gaps).max(initial=0.0))
         taken[parts[-1].nodes] = True
     return parts
+
+
+def _warn_of_gaps(tie: Tied, mesh: MeshArrays, apart: float) -> None:
+    """Warn of surfaces that are farther apart than an element, as where a body is misplaced."""
+    if apart > np.ptp(mesh.points[mesh.surface(tie.slave).facets], axis=1).max():
+        warn_user(f"tie {tie.slave!r} on {tie.master!r}: the surfaces are up to {apart:.3g} m apart, more than an "
+                  "element, and rotations strain the bodies by that distance. Check their positions (m), or give "
+                  "reach= where it is meant")
 
 
 _OFFSET = 1e-6  # of the size of the mesh: how far a partner on the other side of a cell may lie off its place

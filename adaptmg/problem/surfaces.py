@@ -111,7 +111,7 @@ class Tied:
     master : str
         The boundary they follow.
     reach : float, optional
-        Largest distance of the surfaces, m, > 0; by default it follows from the meshes.
+        Largest distance of the surfaces, m, > 0; default the size of the surfaces, with a warning beyond an element.
 
     Examples
     --------
@@ -194,7 +194,7 @@ class ContactPair:
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
     reach : float, optional
-        Largest initial distance of the surfaces, m, > 0; by default it follows from the meshes.
+        Largest initial distance of the surfaces, m, > 0; default the size of the surfaces.
     gap : float or callable, optional
         Initial gap along the slave's normal, m, in place of the computed one: a number, or a function of position
         (n, dim) -> (n,).
