@@ -67,6 +67,8 @@ class SizeNear:
         Where ``sized`` limits sizes, its ``max_size`` and ``grading`` take the same factor.
         """
         factor = checks.positive("factor", factor)
+        if not factor * self.grading <= 1:
+            raise ValueError(f"factor must be at most {1 / self.grading:.6g}, at which the grading is 1, got {factor!r}")
         return replace(self, size=factor * self.size, grading=factor * self.grading)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:

@@ -152,7 +152,8 @@ test_refuses = refused(
     (lambda: SizeNear([], size=1.0), "at least one point"),
     (lambda: SizeNear([(0, 0), (0, 0, 0)], size=1.0), "same dimension"),
     (lambda: SizeNear([(0, 0)], size=1.0, grading=2), "grading must be at most 1"),
-    (lambda: SizeNear([(0, 0)], size=1.0).scaled(0.0), "factor must be > 0"))
+    (lambda: SizeNear([(0, 0)], size=1.0).scaled(0.0), "factor must be > 0"),
+    (lambda: SizeNear([(0, 0)], size=1.0, grading=0.4).scaled(3), "factor must be at most 2.5"))
 
 
 @pytest.mark.parametrize(("sides", "divisions", "square"), [
