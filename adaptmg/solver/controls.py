@@ -196,7 +196,8 @@ class Controls:
             along = left.T @ missed
             if fresh and np.abs(along[~resisted]).max(initial=0.0) > 1e-3:
                 raise ValueError("nothing resists " + ", ".join(repr(part.name) for part in parts) + ": no body, or no "
-                                 "friction, opposes a prescribed force or moment: write None for it, or add friction")
+                                 "friction, opposes a prescribed force or moment: write None for it, add friction, or "
+                                 "take a moment about= a point near contact")
             change = -right[resisted].T @ (along[resisted] / values_of[resisted])
             change *= min(1.0, _GROWTH * reach / np.abs(change).max())
             new = at(values + change)
