@@ -68,7 +68,7 @@ class SizeNear:
         """
         factor = checks.positive("factor", factor)
         if not factor * self.grading <= 1:
-            raise ValueError(f"factor must be at most {1 / self.grading:.6g}, at which the grading is 1, got {factor!r}")
+            raise ValueError(f"factor must be at most {1 / self.grading:.6g}, where the grading is 1, got {factor!r}")
         return replace(self, size=factor * self.size, grading=factor * self.grading)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
