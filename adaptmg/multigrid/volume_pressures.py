@@ -6,7 +6,9 @@ A cycle is the ordinary truncated one on K' with the load f - B'p; after its cor
 
 :math:`\theta = 1/2` for two steps after the contact status has changed. The recombination of
 :class:`~adaptmg.multigrid.truncated_step.TruncatedStep` takes u and p together: what the volumes miss counts with the
-energy :math:`A\,(\lambda_1 + \mu)\,(b\,u - p/\kappa)^2`. So the number of cycles hardly depends on Poisson's ratio.
+energy :math:`A\,(\lambda_1 + \mu)\,(b\,u - p/\kappa)^2`. A uniform pressure in each body is a further direction: steps
+alone would find the mean pressure of an enclosed body in :math:`\kappa/(\lambda_1 + \mu)` cycles. So the number of
+cycles hardly depends on Poisson's ratio.
 """
 
 from __future__ import annotations

@@ -59,7 +59,8 @@ class ActiveSet:
     The interior point method (:mod:`adaptmg.smoother.interior_point`) finds the contact status in 5 to 20 steps on
     the bodies that were tried, slender and folded ones among them. Where a status comes back in the Newton steps after
     it, or from a given start, or leaves a motion free, they begin again from an interior point, with a smaller
-    tolerance each time. Steps of both kinds count.
+    tolerance each time. Steps of both kinds count. Smoothed elements with Poisson's ratios above .499 take several
+    solves with the same factors (:mod:`adaptmg.solver.augmented`); above .4 the matrix has 2 to 3 times the entries.
 
     Examples
     --------
