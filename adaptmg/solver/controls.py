@@ -192,12 +192,13 @@ class Controls:
                 steps = _DIFFERENCE * reach * np.eye(len(values))
                 jacobian = np.stack([(at(values + step) - missed) / step.max() for step in steps], axis=1)
             left, values_of, right = np.linalg.svd(jacobian)
-            resisted = values_of > _UNRESISTED * values_of[0]
+            noise = tried[best][0].rtol / (_DIFFERENCE * reach)
+            resisted = values_of > max(_UNRESISTED * values_of[0], noise)
             along = left.T @ missed
             if fresh and np.abs(along[~resisted]).max(initial=0.0) > 1e-3:
                 raise ValueError("nothing resists " + ", ".join(repr(part.name) for part in parts) + ": no body, or no "
-                                 "friction, opposes a prescribed force or moment: write None for it, add friction, or "
-                                 "take a moment about= a point near contact")
+                                 "friction, opposes a prescribed force or moment: write None for it, add friction, "
+                                 "take a moment about= a point near contact, or hold a bolt at both ends")
             change = -right[resisted].T @ (along[resisted] / values_of[resisted])
             change *= min(1.0, _GROWTH * reach / np.abs(change).max())
             new = at(values + change)
