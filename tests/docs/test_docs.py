@@ -88,7 +88,8 @@ def test_short_answers_are_right():
     grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
     names = {"am": am, "grids": grids, "problem": problem, "other": am.cases.greco_bar(law=am.Coulomb(0.3)),
              "mesh": grids.finest.mesh, "result": am.solve(grids), "steps": list(am.adapt(problem, max_nodes=200)),
-             "x": 0.01, "y": 0.02, "points": [(0.01, 0.02)]}
+             "x": 0.01, "y": 0.02, "points": [(0.01, 0.02)], "size": am.SizeNear([(0, 0)], size=2e-3),
+             "shank": am.Rectangle(width=1, height=2), "head": am.Rectangle(width=3, height=1, origin=(-1, 2))}
     answers = (ROOT / "studies" / "docs" / "howto" / "questions.rst").read_text(encoding="utf-8")
     expressions = re.findall(r"``((?:am|grids|result)\.[^`]*)``", answers)
     assert len(expressions) > 15
