@@ -175,7 +175,7 @@ def test_what_cannot_be_found_is_refused():
         domain=am.Rectangle(width=0.01, height=0.1), material=am.PlaneStrain(young=2e11, poisson=0.3),
         loads=am.Preload("body", force=1e5, axis="y"), supports=am.Support("bottom", x=0, y=0))
     for method in (None, am.Multigrid(rtol=1e-4)):
-        with pytest.raises(ValueError, match="nothing resists 'body'.* hold a bolt at both ends"):
+        with pytest.raises(ValueError, match=r"nothing resists .body.: .* hold a bolt"):
             am.solve(am.Hierarchy.uniform(free, [(1, 8), (2, 16)]), method)
     floor = am.Plane((0, 0), (0, 1))
     for make, words in ((lambda: am.Rigid(floor, force=(None, None)), "force and moment are None"),
