@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,65 +44,51 @@ def supported_nodes(mesh: MeshArrays, support: AnySupport) -> np.ndarray:
     return mesh.surface(support.boundary).nodes
 
 
-def boundary_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Support]:
-    """Supports that prescribe components on boundaries, planes of symmetry by the component that they prescribe."""
-    return [one for one in _resolved(mesh, supports)[0] if isinstance(one, Support)]
+class Held(NamedTuple):
+    """A direction along which a support holds its nodes."""
+
+    support: AnySupport
+    direction: np.ndarray  # (dim,)
+    axis: int | None  # None: it is no axis
+    value: FieldLike  # m
+
+
+def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
+    """The directions that supports hold: components, and normals of plane boundaries."""
+    axes, result = np.eye(mesh.dim), []
+    for one in supports:
+        components = list(one.components(mesh.dim))
+        normal = 0.0 if isinstance(one, Symmetry) else one.normal if isinstance(one, Support) else None
+        if normal is not None:
+            normals = mesh.surface(one.boundary).normals
+            direction = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
+            if not (normals @ direction).min() > 1 - _ALONG_AXIS:
+                raise ValueError(f"the support on {one.boundary!r} holds its normal, and the boundary is not plane: "
+                                 "name each of its plane parts")
+            axis = int(np.argmax(np.abs(direction)))
+            if np.abs(direction[axis]) <= 1 - _ALONG_AXIS:
+                result.append(Held(one, direction, None, normal))
+            elif components[axis] is not None:
+                raise ValueError(f"the support on {one.boundary!r} prescribes {'xyz'[axis]}, which is its normal "
+                                 "displacement, twice: leave one out")
+            else:
+                components[axis] = times(normal, np.sign(direction[axis]))
+        result += [Held(one, axes[k], k, value) for k, value in enumerate(components) if value is not None]
+    return result
 
 
 def held_directions(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[str, np.ndarray]:
     """By boundary the orthonormal directions (k, dim) along which supports hold it."""
-    plain, rollers = _resolved(mesh, supports)
     found: dict[str, list[np.ndarray]] = {}
-    for one in plain:
-        if isinstance(one, Support):
-            found.setdefault(one.boundary, []).extend(
-                np.eye(mesh.dim)[k] for k, value in enumerate(one.components(mesh.dim)) if value is not None)
-    for roller in rollers:
-        found.setdefault(roller.support.place, []).append(roller.direction)
+    for one in held_by(mesh, [support for support in supports if support.boundary is not None]):
+        found.setdefault(one.support.boundary, []).append(one.direction)
     result = {}
     for name, directions in found.items():
-        _, sizes, rows = np.linalg.svd(np.array(directions), full_matrices=False)
-        plain_axes = (np.abs(directions).max(axis=1) == 1.0).all()
-        result[name] = np.unique(directions, axis=0) if plain_axes else rows[sizes > _PARALLEL]
+        # axes stay as they are, to the bit
+        _, sizes, rows = np.linalg.svd(np.unique(directions, axis=0), full_matrices=False)
+        axes = (np.abs(directions).max(axis=1) == 1.0).all()
+        result[name] = np.unique(directions, axis=0) if axes else rows[sizes > _PARALLEL]
     return result
-
-
-@dataclass(frozen=True)
-class _Roller:
-    """A support along the normal of its boundary, which is no axis."""
-
-    support: Support
-    direction: np.ndarray  # (dim,)
-    value: FieldLike
-
-
-def _resolved(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[list[AnySupport], list[_Roller]]:
-    """Supports that prescribe components, planes of symmetry among them; and those along other normals."""
-    plain, rollers = [], []
-    for one in supports:
-        if isinstance(one, Symmetry):
-            one = Support(one.boundary, normal=0.0)
-        if not isinstance(one, Support) or one.normal is None:
-            plain.append(one)
-            continue
-        normals = mesh.surface(one.boundary).normals
-        direction = normals.mean(axis=0)
-        direction /= np.linalg.norm(direction)
-        if not (normals @ direction).min() > 1 - _ALONG_AXIS:
-            raise ValueError(f"the support on {one.boundary!r} holds its normal, and the boundary is not plane: name "
-                             "each of its plane parts")
-        axis = int(np.argmax(np.abs(direction)))
-        if np.abs(direction[axis]) > 1 - _ALONG_AXIS:
-            along = {"xyz"[axis]: times(one.normal, np.sign(direction[axis]))}
-            if getattr(one, "xyz"[axis]) is not None:
-                raise ValueError(f"the support on {one.boundary!r} prescribes {'xyz'[axis]}, which is its normal "
-                                 "displacement, twice: leave one out")
-            plain.append(replace(one, normal=None, **along))
-        else:
-            rollers.append(_Roller(one, direction, one.normal))
-            if any(value is not None for value in one.components(mesh.dim)):
-                plain.append(replace(one, normal=None))
-    return plain, rollers
 
 
 _PARALLEL = 1e-6  # directions that differ by less count as one
@@ -110,31 +96,27 @@ _PARALLEL = 1e-6  # directions that differ by less count as one
 
 def inclined_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> Inclined | None:
     """The nodes that supports hold along directions that are no axes; ValueError where their values contradict."""
-    plain, rollers = _resolved(mesh, supports)
-    if not rollers:
+    held = held_by(mesh, supports)
+    if all(one.axis is not None for one in held):
         return None
-    dim, nodes = mesh.dim, np.unique(np.concatenate([mesh.surface(one.support.boundary).nodes for one in rollers]))
-    held = [(one, supported_nodes(mesh, one), np.eye(dim)[d], value) for one in plain
-            for d, value in enumerate(one.components(dim)) if value is not None]
-    held += [(one.support, supported_nodes(mesh, one.support), one.direction, one.value) for one in rollers]
-    rows, values = np.zeros((len(nodes), len(held), dim)), np.zeros((len(nodes), len(held)))
-    for k, (support, own, direction, value) in enumerate(held):
-        own = np.intersect1d(own, nodes)
+    nodes = np.unique(np.concatenate([supported_nodes(mesh, one.support) for one in held if one.axis is None]))
+    rows, values = np.zeros((len(nodes), len(held), mesh.dim)), np.zeros((len(nodes), len(held)))
+    for k, one in enumerate(held):
+        own = np.intersect1d(supported_nodes(mesh, one.support), nodes)
         at = np.searchsorted(nodes, own)
-        rows[at, k] = direction
-        values[at, k] = checks.field(f"the support on {support.place!r}", value, mesh.points[own])
+        rows[at, k] = one.direction
+        values[at, k] = checks.field(f"the support on {one.support.place!r}", one.value, mesh.points[own])
     inverse = np.linalg.pinv(rows, rcond=_PARALLEL)
-    given = np.einsum("nds,ns->nd", inverse, values)
-    left = np.abs(np.einsum("nsd,nd->ns", rows, given) - values).max(axis=1)
-    wrong = left > _ALONG_AXIS * np.abs(values).max()
+    left = np.einsum("nsd,ndt,nt->ns", rows, inverse, values) - values
+    wrong = np.abs(left).max(axis=1) > _ALONG_AXIS * np.abs(values).max()
     if wrong.any():
-        node = int(nodes[np.argmax(wrong)])
-        names = dict.fromkeys(repr(held[k][0].place) for k in np.flatnonzero(rows[np.argmax(wrong)].any(axis=1)))
-        raise ValueError(f"the supports on {', '.join(names)} contradict each other at their common node {node} "
-                         f"{tuple(mesh.points[node].tolist())}: give them values that agree, or free one")
+        i = int(np.argmax(wrong))
+        names = dict.fromkeys(repr(held[k].support.place) for k in np.flatnonzero(rows[i].any(axis=1)))
+        raise ValueError(f"the supports on {', '.join(names)} contradict each other at their common node {nodes[i]} "
+                         f"{tuple(mesh.points[nodes[i]].tolist())}: give them values that agree, or free one")
     moved: dict[str, np.ndarray] = {}
-    for k, (support, *_) in enumerate(held):
-        name = name_in_path(support)
+    for k, one in enumerate(held):
+        name = name_in_path(one.support)
         moved[name] = moved.get(name, 0.0) + inverse[:, :, k] * values[:, k, None]
     return Inclined(nodes, inverse @ rows, {name: part for name, part in moved.items() if part.any()})
 
@@ -149,23 +131,22 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
     mask, all_values = np.zeros(mesh.points.size, dtype=bool), np.zeros(mesh.points.size)
     fixed, values = (array.reshape(mesh.points.shape) for array in (mask, all_values))
     origin = np.zeros(mesh.points.shape, dtype=np.int64)  # of fixed ones
-    supports, rollers = _resolved(mesh, supports)
-    for k, support in enumerate(supports):
-        nodes = supported_nodes(mesh, support)
-        for d, value in enumerate(support.components(mesh.dim)):
-            if value is None:
-                continue
-            name = f"{'xyz'[d]} of the support on {support.place!r}"
-            prescribed = checks.field(name, value, mesh.points[nodes])
-            clash = fixed[nodes, d] & (values[nodes, d] != prescribed)
-            if clash.any():
-                node, here = int(nodes[np.argmax(clash)]), prescribed[np.argmax(clash)]
-                other = supports[origin[node, d]].place
-                raise ValueError(f"supports on {other!r} and {support.place!r} prescribe different {'xyz'[d]} "
-                                 f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
-                                 f"{tuple(mesh.points[node].tolist())}: give both the same value or free one")
-            fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, prescribed, k
-    for roller in rollers:
-        nodes = mesh.surface(roller.support.boundary).nodes
-        fixed[nodes], values[nodes] = False, 0.0
+    held = held_by(mesh, supports)
+    for k, one in enumerate(held):
+        if one.axis is None:
+            continue
+        nodes, d = supported_nodes(mesh, one.support), one.axis
+        prescribed = checks.field(f"{'xyz'[d]} of the support on {one.support.place!r}", one.value, mesh.points[nodes])
+        clash = fixed[nodes, d] & (values[nodes, d] != prescribed)
+        if clash.any():
+            node, here = int(nodes[np.argmax(clash)]), prescribed[np.argmax(clash)]
+            other = held[origin[node, d]].support.place
+            raise ValueError(f"supports on {other!r} and {one.support.place!r} prescribe different {'xyz'[d]} "
+                             f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
+                             f"{tuple(mesh.points[node].tolist())}: give both the same value or free one")
+        fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, prescribed, k
+    for one in held:
+        if one.axis is None:
+            nodes = supported_nodes(mesh, one.support)
+            fixed[nodes], values[nodes] = False, 0.0
     return mask, all_values

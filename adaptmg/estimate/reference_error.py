@@ -23,13 +23,12 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.supports import boundary_supports, supported_nodes
+from adaptmg.discrete.supports import held_by, supported_nodes
 from adaptmg.estimate.recovery import Recovery
 from adaptmg.estimate.stress_fields import posed
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.loads import PointSupport
 from adaptmg.solver.result import Result
 from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
 
@@ -160,10 +159,7 @@ def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
     """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same on all meshes, m. NaN
     elsewhere: of a function of position a coarse mesh has its own interpolant."""
     result = np.full(mesh.points.shape, np.nan)
-    for support in (*boundary_supports(mesh, problem.supports),
-                    *(one for one in problem.supports if isinstance(one, PointSupport))):
-        nodes = supported_nodes(mesh, support)
-        for d, value in enumerate(support.components(mesh.dim)):
-            if value is not None and not callable(value):
-                result[nodes, d] = value
+    for one in held_by(mesh, problem.supports):
+        if one.axis is not None and not callable(one.value):
+            result[supported_nodes(mesh, one.support), one.axis] = one.value
     return result

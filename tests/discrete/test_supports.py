@@ -116,7 +116,7 @@ test_refused = refused(
     (lambda: fixed_dofs(structured(am.Rectangle(width=1, height=1), 4), [am.Support("left", x=0, normal=0)]),
      "prescribes x, which is its normal displacement, twice"),
     (lambda: inclined_supports(sheared(2, 0)[0], [am.Support("left", normal=1e-3), am.Support("bottom", x=0, y=0)]),
-     "supports on 'bottom', 'left' contradict each other at their common node 0"))
+     "supports on 'left', 'bottom' contradict each other at their common node 0"))
 
 
 def sheared(dim, seed):
