@@ -2,7 +2,8 @@ r"""Contact nodes in front of rigid obstacles, and what supports hold of them.
 
 A support that holds a part of the normal of a node leaves it the rest: with the projection P onto what is free, the
 node goes towards the obstacle along :math:`P n / |P n|`, at the gap :math:`g / |P n|`. Where it holds all of it there
-is no contact; the motion that it prescribes must end before the obstacle.
+is no contact; the motion that it prescribes must end before the obstacle. The force of contact is that along
+:math:`P n`: the rest goes into the support, and counts as its reaction.
 """
 
 from __future__ import annotations

@@ -141,13 +141,12 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
 
 
 def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
-    """Forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's residual is cut."""
+    """Forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's residual is cut, and
+    ties do next to no work on displacements that obey them."""
     contact, forces = result.contact, np.zeros_like(result.reaction)
     forces[contact.node] = contact.force
     np.add.at(forces, contact.master_node, contact.master_force)
     # a support bears what contact does not, whatever both exert at one node
-    if result.ties is not None:
-        forces += result.ties.total(len(forces))
     forces = np.where(discrete.held.reshape(forces.shape), result.reaction, forces)
     if discrete.inclined is not None:
         borne = discrete.inclined.free_part(np.arange(len(forces)), result.reaction - forces)

@@ -130,10 +130,12 @@ def sheared(dim, seed):
     return [replace(one, points=one.points @ matrix.T, source=None) for one in meshes]
 
 
+@pytest.mark.parametrize("touching", [False, True])
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("dim", [2, 3])
-def test_inclined_rollers_carry_a_uniform_pressure_exactly(dim, seed):
-    """Under one pressure all around, a body between planes through the origin shrinks towards it."""
+def test_inclined_rollers_carry_a_uniform_pressure_exactly(dim, seed, touching):
+    """Under one pressure all around, a body between planes through the origin shrinks towards it. One of the planes may
+    be an obstacle, which the others meet obliquely."""
     meshes = sheared(dim, seed)
     young, nu, pressure = 1e7, 0.3, 1e3
     sides, others = (("left", "bottom", "front"), ("top", "right", "back"))
@@ -141,18 +143,24 @@ def test_inclined_rollers_carry_a_uniform_pressure_exactly(dim, seed):
         material=(am.Solid if dim == 3 else am.PlaneStrain)(young=young, poisson=nu),           # and no contact
         loads=[am.Pressure(name, pressure) for name in others[:dim]],
         supports=[am.Symmetry("left"), *(am.Support(name, normal=0) for name in sides[1:dim])])
+    if touching:
+        floor = am.Plane([0] * dim, -meshes[0].surface("bottom").normals[0])
+        problem = replace(problem, contact=am.Contact("bottom", floor), law=am.Frictionless(), supports=[
+            one for one in problem.supports if one.boundary != "bottom"])
     grids = am.Hierarchy.from_meshes(problem, meshes)
     shrinks = pressure * (1 - 2 * nu) * (1 if dim == 3 else 1 + nu) / young
     for method in (am.Multigrid(rtol=1e-11), am.FullMultigrid(rtol=1e-11), EXACT):
         result = am.solve(grids, method)
         np.testing.assert_allclose(result.displacement, -shrinks * meshes[-1].points, atol=1e-9 * shrinks *
                                    np.abs(meshes[-1].points).max())
-    for name in sides[:dim]:
-        surface = meshes[-1].surface(name)
-        np.testing.assert_allclose(result.resultant(name).force, -pressure * surface.vectors.sum(axis=0),
-                                   atol=1e-6 * pressure * surface.measures.sum())
-    assert am.Residual().indicate(grids, result).relative < 1e-6
-    assert am.Goal(am.MeanDisplacement("top", 0)).indicate(grids, result).relative < 1e-6
+    surfaces = [meshes[-1].surface(name) for name in sides[:dim]]
+    forces = np.array([result.resultant(name).force for name in sides[:dim]])
+    expected = -pressure * np.array([surface.vectors.sum(axis=0) for surface in surfaces])
+    if touching:  # what an oblique guide bears of contact at their common nodes counts as that of the guide
+        forces, expected = forces.sum(axis=0), expected.sum(axis=0)
+    np.testing.assert_allclose(forces, expected, atol=1e-6 * pressure * surfaces[0].measures.sum())
+    for indicator in () if touching else (am.Residual(), am.Goal(am.MeanDisplacement("top", 0))):
+        assert indicator.indicate(grids, result).relative < 1e-6
 
 
 def pressed(dim, **changes):
@@ -187,6 +195,8 @@ def test_supports_along_normals_turn_with_the_body(dim, seed):
         np.testing.assert_array_equal(other[k].contact.state, one[k].contact.state)
         for path_of in steps:
             np.testing.assert_allclose(path_of[k].displacement, other[k].displacement, atol=1e-6 * size)
+        norms = [result[k].certificate().energy_norm for result in (one, other)]
+        assert norms[0] == pytest.approx(norms[1], rel=1e-8)
         for name in ("left", "top", "bottom"):
             force = one[k].resultant(name).force
             np.testing.assert_allclose(other[k].resultant(name).force @ turn, force, atol=1e-5 * np.linalg.norm(force))
@@ -197,7 +207,7 @@ def test_supports_along_normals_turn_with_the_body(dim, seed):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_pairs_between_inclined_planes_of_symmetry_turn_with_the_bodies(dim):
+def test_pairs_between_planes_of_symmetry_turn_with_the_bodies(dim):
     box, sides = (am.Box, ("left", "front", "bottom")) if dim == 3 else (am.Rectangle, ("left", "bottom"))
     parts = {name: box(origin=(*[0.0] * (dim - 1), low), width=wide, height=0.5, **({"depth": 1.0} if dim == 3 else {}))
              for name, low, wide in (("upper", 0.0, 1.0), ("lower", -0.5, 1.5))}
@@ -214,6 +224,9 @@ def test_pairs_between_inclined_planes_of_symmetry_turn_with_the_bodies(dim):
     np.testing.assert_allclose(found.displacement @ turn, expected.displacement, atol=1e-10 * size)
     np.testing.assert_allclose(am.solve(grids, am.Multigrid(rtol=1e-9)).displacement, found.displacement,
                                atol=1e-6 * size)
+    path = am.LoadPath({"upper.top": 1.0, "upper.right": [0, 1]})
+    steps = [am.solve_path(each, path, EXACT)[1].contact.slip for each in (one, grids)]
+    np.testing.assert_allclose(np.linalg.norm(steps[1], axis=1), np.linalg.norm(steps[0], axis=1), atol=1e-10 * size)
     for name in ("upper.left", "lower.bottom", "lower.top"):
         np.testing.assert_allclose(found.resultant(name).force @ turn, expected.resultant(name).force, atol=1e-4)
 
@@ -248,6 +261,21 @@ def test_a_clamped_end_above_the_obstacle_carries_no_contact(seed):
             part = grids.truncated(finest=finest)
             np.testing.assert_allclose(am.solve(part, method).displacement, am.solve(part, EXACT).displacement,
                                        atol=1e-6 * np.abs(exact.displacement).max())
+
+
+def test_two_contact_nodes_of_a_floating_body_are_a_level():
+    """With one of them fixed the body turns about it: no sweep solves the condensed problem node by node."""
+    beam = am.Rectangle(width=1.0, height=0.2)
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts={"beam": beam, "bed": replace(beam, origin=(0, -0.2))}), law=am.Coulomb(0.3),
+        material=am.PlaneStrain(young=1e9, poisson=0.3), contact=am.ContactPair("beam.bottom", "bed.top"),
+        loads=(am.Pressure("beam.top", 1e5),), supports=(am.Support("bed.bottom", x=0, y=0),))
+    grids = am.Hierarchy.uniform(problem, (1, 2))
+    monotone = am.solve(grids, am.Multigrid(correction=am.Monotone()))
+    exact = am.solve(grids, EXACT).displacement
+    np.testing.assert_allclose(monotone.displacement, exact, atol=1e-6 * np.abs(exact).max())
+    with pytest.raises(ValueError, match="condensed=True needs more contact nodes"):
+        am.solve(grids.truncated(finest=0), am.SingleGrid(condensed=True))
 
 
 def test_nothing_passes_from_a_roller_to_the_contact_next_to_it():
@@ -295,6 +323,12 @@ def test_a_support_may_move_up_to_the_obstacle_and_not_beyond(seed):
         am.solve_path(grids, crossing, EXACT)
     with pytest.raises(ValueError, match=r"moves contact boundary 'bottom' .* into its obstacle"):
         am.discretise(clamped_beam(0.05, seed, sinks=-0.051)[0], meshes[-1])
+    # along what is held of a normal no motion may change the gap, this way or that
+    oblique = replace(problem, contact=am.Contact("bottom", am.Plane((0, -3), (-1, 1))))
+    for moved in (-1e-3, 1e-3):
+        with pytest.raises(ValueError, match=r"moves contact boundary 'bottom' .* into its obstacle"):
+            am.discretise(replace(oblique, supports=(am.Support("left", x=moved),)),
+                          structured(am.Rectangle(width=1.0, height=0.2), 2))
 
 
 FRICTION, PRESSURE, PULL = 0.4, 1e7, 1e-3
@@ -318,6 +352,19 @@ def pad(dim, slave="pad", coupling="mortar", pull=PULL, friction=FRICTION):
         contact=am.ContactPair(*pair, coupling=coupling), loads=(am.Pressure("pad.top", PRESSURE),),
         supports=(am.Support("pad.left", x=0.0), am.Support("pad.right", x=0.0), below,
                   *((am.Support("pad.front", y=0.0),) if dim == 3 else ())))
+
+
+def test_a_pad_in_an_inclined_guide_slides_on_its_plate():
+    straight, turn = pad(2), np.array([[0.8, -0.6], [0.6, 0.8]])
+    pulled = dict(zip("xy", turn @ [PULL, 0.0], strict=True))
+    problem = replace(straight, domain=None, supports=(am.Support("pad.left", normal=0), am.Symmetry("pad.right"),
+                                                       am.Support("plate.bottom", **pulled)))
+    meshes = [level.mesh for level in grids(straight, 2, 6, 4).levels]
+    result = am.solve(am.Hierarchy.from_meshes(problem, [replace(one, points=one.points @ turn.T, source=None)
+                                                         for one in meshes]), am.ActiveSet(rtol=1e-10))
+    assert result.resultant("pad.bottom").force @ turn == pytest.approx(
+        [FRICTION * PRESSURE * 40e-3, PRESSURE * 40e-3], rel=1e-8)
+    assert result.certificate().worst.relative < 1e-8
 
 
 def grids(problem, dim, on_pad, on_plate):

@@ -113,6 +113,26 @@ def test_ties_and_contact_carry_a_load_together(tmp_path):
         assert result.resultant("block.top").force == pytest.approx([-1500.0, -1e4], abs=1e-4)
 
 
+def test_supports_and_contact_meet_ties():
+    """What a support holds of a tied node it bears; a node of a tied and of a contact boundary is tied."""
+    parts = {"cap": am.Rectangle(width=1, height=0.5, origin=(0, 0.5)), "block": am.Rectangle(width=1, height=0.5),
+             "wall": am.Rectangle(width=0.5, height=1, origin=(1, 0))}
+    pairs = (am.ContactPair("cap.right", "wall.left"), am.ContactPair("block.right", "wall.left"))
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts), material=PLANE, law=am.Coulomb(0.3), ties=am.Tied("cap.bottom", "block.top"),
+        contact=pairs, loads=[am.Pressure("cap.top", 1e3)], supports=(
+            am.Support("wall.right", x=0, y=0), am.Support("cap.left", x=1e-4), am.Support("block.bottom", y=0)))
+    grids = am.Hierarchy.uniform(problem, [{"cap": 3 * k, "block": 2 * k, "wall": (2 * k, 5 * k)} for k in (1, 2)])
+    result = am.solve(grids, EXACT)
+    force = {name: result.resultant(name).force for name in (
+        "cap.left", "cap.bottom", "cap.right", "block.bottom", "block.top", "block.right")}
+    assert force["cap.left"] + force["cap.bottom"] + force["cap.right"] == pytest.approx([0, 1e3], abs=1e-6)
+    assert force["block.bottom"] + force["block.top"] + force["block.right"] == pytest.approx([0, 0], abs=1e-6)
+    np.testing.assert_allclose(am.solve(grids, am.Multigrid(rtol=1e-9)).displacement, result.displacement,
+                               atol=1e-6 * np.abs(result.displacement).max())
+    assert not np.isin(result.contact.node, result.ties.on("cap.bottom")[0]).any()
+
+
 @pytest.mark.parametrize("engine", [am.Remesh(), am.Bisect()], ids=["remesh", "bisect"])
 def test_adaptive_loops_refine_tied_bodies(engine):
     steps = list(am.adapt(pressed(), start=0.3, engine=engine, max_nodes=600))
