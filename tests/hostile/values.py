@@ -43,7 +43,7 @@ _KEYWORDS = (
                                                                                            "value": 1.0}),
     (am.Estimate, "terms", ({"a": "b"}, {3: 1.0}), {"squares": [1.0], "norm": 1.0}),
     (problem, "material", ({_BAD: ELASTIC}, am.PlaneStrain, {}, {"body": am.PlaneStrain}), {}),
-    (problem, "contact", ((),), {}), (problem, "loads", ({"top": am.Pressure("top", 1.0)},), {}),
+    (problem, "loads", ({"top": am.Pressure("top", 1.0)},), {}),
     (problem, "reference", ("x",), {}), (discrete, "coupling", ("W",), {}),
     (discrete, "bodies", ([0, 1], {"a": np.array([0, 99])}, {"a": np.array([0.5])}), {}),
     (nodes, "names", ((_BAD,), "abc", ()), {}), (nodes, "masters", ((_BAD,),), {}),
