@@ -159,13 +159,20 @@ def node_pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.nda
     """Row pointers and sorted columns of the nodal matrix; pointers to the elements of each node, and these."""
     start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
     list_elements(elements, start, listed)
-    indptr = np.zeros(n_nodes + 1, dtype=np.int64)
-    given = elements, start, listed, indptr
-    in_parts(find_neighbours, n_nodes, 4 * elements.size, *given, np.empty(0, dtype=np.int32))
+    return *pattern_of(start, listed, elements, start[:0], 4 * elements.size), start, listed
+
+
+def pattern_of(start: np.ndarray, listed: np.ndarray, nodes: np.ndarray, begin: np.ndarray, size: int
+               ) -> tuple[np.ndarray, np.ndarray]:
+    """Row pointers and sorted columns of the nodal matrix of patches: patch e has the ``nodes[begin[e]:begin[e + 1]]``,
+    or nodes[e] of (n, k), node i is in those of ``listed[start[i]:start[i + 1]]``; ``size`` is that of the work."""
+    n, indptr = len(start) - 1, np.zeros(len(start), dtype=np.int64)
+    given = start, listed, nodes, begin, indptr
+    in_parts(find_neighbours, n, size, *given, np.empty(0, dtype=np.int32))
     np.cumsum(indptr, out=indptr)
     indices = np.empty(indptr[-1], dtype=np.int32)
-    in_parts(find_neighbours, n_nodes, 4 * elements.size, *given, indices)
-    return indptr, indices, start, listed
+    in_parts(find_neighbours, n, size, *given, indices)
+    return indptr, indices
 
 
 def _clear(first: int, last: int, data: np.ndarray) -> None:
@@ -191,20 +198,21 @@ def list_elements(elements, start, listed):
 
 
 @kernel
-def find_neighbours(first, last, elements, start, listed, indptr, indices):
-    """Columns of the pattern, ascending: nodes that share an element, each node with itself. Without ``indices`` how
-    many there are, to ``indptr[1:]``, which comes back summed up with them."""
+def find_neighbours(first, last, start, listed, nodes, begin, indptr, indices):
+    """Columns of the pattern, ascending: nodes that share a patch, each node with itself. Without ``indices`` how many
+    there are, to ``indptr[1:]``, which comes back summed up with them."""
     marker = np.full(len(start) - 1, -1, dtype=np.int32)
     for i in range(first, last):
-        count, begin = 0, indptr[i]
+        count, row = 0, indptr[i]
         for at in range(start[i], start[i + 1]):
-            for v in elements[listed[at]]:
+            e = listed[at]
+            for v in nodes[e] if nodes.ndim == 2 else nodes[begin[e]:begin[e + 1]]:
                 if marker[v] != i:
                     marker[v] = i
                     if len(indices):
                         # few are out of order
-                        k = begin + count
-                        while k > begin and indices[k - 1] > v:  # one further down each time
+                        k = row + count
+                        while k > row and indices[k - 1] > v:  # one further down each time
                             indices[k] = indices[k - 1]
                             k -= 1
                         indices[k] = v

@@ -35,6 +35,7 @@ from adaptmg.discrete.elasticity import (
     lame_constants,
     mirror,
     node_pattern,
+    pattern_of,
     shape_gradients,
 )
 from adaptmg.discrete.recovery import apart
@@ -59,33 +60,23 @@ def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
 def smoothed_stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
     """Assemble K' as :func:`adaptmg.discrete.stiffness` does the matrix of linear elements; same form and errors."""
     materials = body_materials(mesh, material)
-    own = moduli(mesh, materials, EDGE_PART)
-    lame, shear = lame_constants(materials)
-    if own is None:
-        patches = _patches(mesh, materials, edge_lame(lame, shear), shear)
-    else:  # volumes and the numbers of bodies in the place of moduli
-        patches = _patches(mesh, materials, np.ones(len(lame)), np.arange(len(lame), dtype=np.float64))
-    n_edges, dim = len(patches.start) - 1, mesh.dim
+    own, patches, dim = moduli(mesh, materials, EDGE_PART), _patches(mesh, is_axisymmetric(materials)), mesh.dim
     places = np.arange(len(patches.nodes), dtype=np.int32 if len(patches.nodes) < 2**31 else np.int64)
-    by_node = sparse.csr_array((places, patches.nodes, patches.start), shape=(n_edges, mesh.n_nodes)).tocsc()
-    of_nodes = by_node.indptr, by_node.indices
-    indptr = np.zeros(mesh.n_nodes + 1, dtype=np.int64)
-    size = len(patches.nodes) * 8  # an entry of a patch meets some 4 (in space 7) others
-    listed = *of_nodes, patches.start, patches.nodes, indptr
-    in_parts(find_partners, mesh.n_nodes, size, *listed, np.empty(0, dtype=np.int32))
-    np.cumsum(indptr, out=indptr)
-    indices = np.empty(indptr[-1], dtype=np.int32)
-    in_parts(find_partners, mesh.n_nodes, size, *listed, indices)
+    by_node = sparse.csr_array((places, patches.nodes, patches.start),
+                               shape=(len(patches.measures), mesh.n_nodes)).tocsc()
+    of_nodes, size = (by_node.indptr, by_node.indices), len(patches.nodes) * 8  # some 4 (in space 7) others for each
+    indptr, indices = pattern_of(*of_nodes, patches.nodes, patches.start, size)
     data = np.empty((len(indices), dim, dim))
-    if own is not None:
-        edges, data[:] = np.flatnonzero(np.diff(patches.start)), 0.0
-        volumes, start = patches.lame[edges], np.append(patches.start[edges], patches.start[-1])
-        bodies = np.rint(patches.shear[edges] / volumes).astype(np.int32)
-        add_tensors(start, patches.nodes, patches.slopes, patches.hoops, volumes, bodies, own.table, indptr, indices,
-                    data)
+    own_nodes = patches.nodes, patches.slopes, patches.hoops
+    if own is None:
+        lame, shear = lame_constants(materials)
+        moduli_of_edges = patches.measures * np.stack([edge_lame(lame, shear), shear])[:, patches.body]
+        in_parts(add_patches, mesh.n_nodes, data.size, (0.0,) * dim, *of_nodes, by_node.data, patches.start, *own_nodes,
+                 *moduli_of_edges, indptr, indices, data)
     else:
-        in_parts(add_patches, mesh.n_nodes, data.size, (0.0,) * dim, *of_nodes, by_node.data, patches.start,
-                 patches.nodes, patches.slopes, patches.hoops, patches.lame, patches.shear, indptr, indices, data)
+        data[:] = 0.0
+        # one tensor for each body: its axes do not vary
+        add_tensors(patches.start, *own_nodes, patches.measures, patches.body, own.table, indptr, indices, data)
     in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
     return block_matrix(data, indices, indptr)
 
@@ -99,14 +90,14 @@ class _Patches:
     nodes: np.ndarray  # (n,) int32
     slopes: np.ndarray  # (n, dim)
     hoops: np.ndarray  # (n,), or (0,)
-    lame: np.ndarray  # (n_edges,): volume times Lame's first constant, N m; (plane: N)
-    shear: np.ndarray  # (n_edges,)
+    measures: np.ndarray  # (n_edges,): volumes, 0 of an edge with nothing around
+    body: np.ndarray  # (n_edges,) int32
 
 
-def _patches(mesh: MeshArrays, materials: tuple, lame: np.ndarray, shear: np.ndarray) -> _Patches:
+def _patches(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
     """Around each edge, which is an entry above the diagonal of the nodal pattern; of all others nothing is around."""
     cells, points = apart(mesh)
-    n, axisymmetric = len(points), is_axisymmetric(materials)
+    n = len(points)
     indptr, indices, *of_nodes = node_pattern(cells, n)
     check_used(indptr)
     slopes, measures = np.empty((len(cells), mesh.dim + 1, mesh.dim)), np.empty(len(cells))
@@ -120,13 +111,12 @@ def _patches(mesh: MeshArrays, materials: tuple, lame: np.ndarray, shear: np.nda
     arguments = cells, *of_nodes, indptr, indices, start
     in_parts(size_patches, n, size, *arguments)
     np.cumsum(start, out=start)
-    nodes, own, hoops = np.empty(start[-1], dtype=np.int32), np.empty((start[-1], mesh.dim)), np.empty(0)
-    if axisymmetric:
-        hoops = np.empty(start[-1])
-    edges = np.empty((2, len(indices)))
+    nodes, own = np.empty(start[-1], dtype=np.int32), np.empty((start[-1], mesh.dim))
+    hoops = np.empty(start[-1] if axisymmetric else 0)
+    volumes, body = np.zeros(len(indices)), np.zeros(len(indices), dtype=np.int32)
     in_parts(fill_patches, n, size, *arguments, mesh.elements, mesh.element_body, slopes, measures, hoop,
-             lame, shear, nodes, own, hoops, *edges)
-    return _Patches(start, nodes, own, hoops, *edges)
+             nodes, own, hoops, volumes, body)
+    return _Patches(start, nodes, own, hoops, volumes, body)
 
 
 def smoothed(mesh: MeshArrays, values: np.ndarray, measures: np.ndarray) -> np.ndarray:
@@ -168,9 +158,9 @@ def size_patches(first, last, cells, start, listed, indptr, indices, size):
 
 @kernel
 def fill_patches(first, last, cells, start, listed, indptr, indices, begin, elements, body, slopes, measures, hoop,
-                 lame, shear, nodes, own, hoops, edge_lame, edge_shear):
-    """Write the patches of edges: ``nodes`` as ``elements`` number them, mean gradients ``own`` and ``hoops``, moduli
-    times volume. ``slopes``, ``measures`` and ``hoop`` are those of the elements."""
+                 nodes, own, hoops, volumes, bodies):
+    """Write the patches of edges: ``nodes`` as ``elements`` number them, mean gradients ``own`` and ``hoops``, their
+    share of the ``volumes`` and their body. ``slopes``, ``measures`` and ``hoop`` are those of the elements."""
     corners, dim = cells.shape[1], cells.shape[1] - 1
     share = 1.0 / (3.0 if dim == 2 else 6.0)
     for i in range(first, last):
@@ -203,30 +193,7 @@ def fill_patches(first, last, cells, start, listed, indptr, indices, begin, elem
                     own[p, d] /= volume
                 if len(hoops):
                     hoops[p] /= volume
-            edge_lame[at], edge_shear[at] = share * volume * lame[body[e]], share * volume * shear[body[e]]
-
-
-@kernel
-def find_partners(first, last, start, edges, begin, nodes, indptr, indices):
-    """Columns of the pattern, ascending: nodes that share the patch of an edge. Node i is in those of ``edges[start[i]:
-    start[i + 1]]``. Without ``indices`` how many there are, to ``indptr[1:]``, which comes back summed up with them."""
-    marker = np.full(len(start) - 1, -1, dtype=np.int32)
-    for i in range(first, last):
-        count, row = 0, indptr[i]
-        for at in range(start[i], start[i + 1]):
-            for p in range(begin[edges[at]], begin[edges[at] + 1]):
-                v = nodes[p]
-                if marker[v] != i:
-                    marker[v] = i
-                    if len(indices):
-                        k = row + count
-                        while k > row and indices[k - 1] > v:  # one further down each time
-                            indices[k] = indices[k - 1]
-                            k -= 1
-                        indices[k] = v
-                    count += 1
-        if not len(indices):
-            indptr[i + 1] = count
+            volumes[at], bodies[at] = share * volume, body[e]
 
 
 @kernel
