@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from adaptmg import _checks as checks
-from adaptmg._files import write_bytes
+from adaptmg._files import file_size, write_bytes
 from adaptmg.cli.output import printed, rows
 from adaptmg.study.record import Record, frame
 from adaptmg.study.store import Store
@@ -36,8 +36,9 @@ def study_of(path: Path, store: Path | None) -> Study:
     from adaptmg.study import Study
 
     file = checks.file_path("FILE", path)
-    if file.suffix != ".py" or not file.is_file():
+    if file.suffix != ".py":
         raise ValueError(f"FILE must be a Python script that makes an am.Study, got {checks.shown(os.fspath(path))}")
+    file_size("FILE", file)
     # as Python does for a script, so that it finds its neighbours; workers get it by value
     sys.path.insert(0, os.fspath(file.resolve().parent))
     spec = importlib.util.spec_from_file_location(file.stem, file)
