@@ -276,7 +276,7 @@ class Result:
         crack : str
             Its name: its faces are the boundaries "crack.left" and "crack.right".
         tip : int
-            0 where the path begins if that is in the body, else where it ends; 1 where it ends.
+            0 where the path begins, 1 where it ends; where one of them is on the boundary, 0 is the other one.
         radius : float, optional
             Largest radius of the domain of integration, m, of five elements at least. Default: what a turn of the
             crack, the other tip (.45 of the length up to there) and other boundaries leave.
