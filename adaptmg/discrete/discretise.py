@@ -69,7 +69,8 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     Its law has nodal parameters; its name is the problem's with the number of nodes.
 
     ValueError if dimensions, boundary or body names differ, if a body has neither support nor contact, or loads and
-    supports do not fit it. A coarse mesh may have few contact nodes, or none.
+    supports do not fit it. A coarse mesh may have few contact nodes, or none. Rigid obstacles are in their first place,
+    and preloads not tightened: :func:`adaptmg.solve_path` moves them.
 
     Parameters
     ----------

@@ -30,11 +30,14 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
     held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
     contact, exchange = discrete.contact, discrete.exchange
     normals, gaps, reference = contact.normals.copy(), contact.gaps.copy(), contact.slip_reference.copy()
+    stops = discrete.stops
     for k, obstacle in now.items():
         own = np.flatnonzero(contact.boundary == k)
         points, boundary = mesh.points[contact.nodes[own]], problem.contact[k].boundary
-        outward = slave_normals(mesh.surface(boundary), held)[contact.nodes[own]]
-        direct, gap = facing_obstacle(obstacle, boundary, points, outward)
+        outward = slave_normals(mesh.surface(boundary), held)
+        direct, gap = facing_obstacle(obstacle, boundary, points, outward[contact.nodes[own]])
+        if stops is not None:
+            stops = stops.moved(obstacle, boundary, mesh.points, outward, contact.nodes)
         normals[own], gaps[own] = along_free(held.free_part(contact.nodes[own], direct), direct, gap)
         reference[own] += obstacle.motion(points) - (before[k].motion(points) if k in before else 0.0)
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _ROUNDING
@@ -45,4 +48,5 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
         posed = replace(exchange.contact, normals=np.where(rows, new.normals, exchange.contact.normals),
                         gaps=np.where(rows[:, 0], gaps, exchange.contact.gaps), allow_interference=True)
         exchange = replace(exchange, contact=posed)
-    return discrete.facing(new, exchange) if turned else discrete.posing(contact=new, exchange=exchange)
+    result = discrete.facing(new, exchange) if turned else discrete.posing(contact=new, exchange=exchange)
+    return result.posing(stops=stops)

@@ -8,7 +8,7 @@ is no contact; the motion that it prescribes must end before the obstacle. The f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,7 @@ TANGENTIAL = 1e-8  # a component of a unit normal below this is none
 
 @dataclass(frozen=True, eq=False)
 class Stops:
-    """Obstacles in front of nodes that supports hold: a support moves none of them through its obstacle."""
+    """Obstacles in front of nodes that supports hold, which must lie on the right side of them."""
 
     nodes: np.ndarray  # (n,) int
     normals: np.ndarray  # (n, dim)
@@ -43,6 +43,15 @@ class Stops:
         return cls(*(np.concatenate([getattr(part, name) for part in parts])
                      for name in ("nodes", "normals", "gaps", "boundary")))
 
+    def moved(self, obstacle: Obstacle, boundary: str, points: np.ndarray, outward: np.ndarray, contact: np.ndarray
+              ) -> Stops:
+        """The same with an obstacle in another place; ``points`` and normals ``outward`` (n_nodes, dim) are those of
+        the mesh. Nodes that are among those in ``contact`` are stopped by what holds them in part."""
+        own = np.flatnonzero((self.boundary == boundary) & ~np.isin(self.nodes, contact))
+        normals, gaps, nodes = self.normals.copy(), self.gaps.copy(), self.nodes[own]
+        normals[own], gaps[own] = facing_obstacle(obstacle, boundary, points[nodes], outward[nodes])
+        return replace(self, normals=normals, gaps=gaps)
+
     def check(self, moved: np.ndarray) -> None:
         """ValueError if the prescribed part of a displacement (n_nodes, dim) crosses an obstacle."""
         own = moved[self.nodes]
@@ -50,8 +59,8 @@ class Stops:
         over -= _ROUNDING * (np.abs(own).max(axis=1, initial=0.0) + np.abs(self.gaps))
         if (over > 0).any():
             i = int(np.argmax(over))
-            raise ValueError(f"a support moves contact boundary {str(self.boundary[i])!r} {over[i]:.6g} m into its "
-                             f"obstacle at node {self.nodes[i]}: move it less, or the obstacle")
+            raise ValueError(f"a support holds node {self.nodes[i]} of contact boundary {str(self.boundary[i])!r} "
+                             f"{over[i]:.6g} m inside its obstacle: move the support less, or the obstacle")
 
 
 def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
@@ -76,7 +85,7 @@ def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, sur
     kept, partly = length > TANGENTIAL, length < 1 - TANGENTIAL
     partly &= kept
     # where a part of the normal is held a motion along it, either way, would change the gap
-    cases = () if may_overlap(contact) else ((~kept, 1, gaps), (partly, 1, 0 * gaps), (partly, -1, 0 * gaps))
+    cases = () if contact.allow_interference else ((~kept, 1, gaps), (partly, 1, 0 * gaps), (partly, -1, 0 * gaps))
     stops = [Stops(nodes[here], sign * normals[here], far[here], np.full(here.sum(), contact.boundary))
              for here, sign, far in cases]
     normals, gaps = along_free(free, normals, gaps)

@@ -143,7 +143,7 @@ class DiscreteProblem(Unknowns):
         result.__dict__.update({one.name: parts.get(one.name, one.default) for one in fields(cls)},
                                matrix=indices_frozen(parts["matrix"]))
         result._complete()
-        result._check_stops({})
+        result.check_stops({})
         return result
 
     @classmethod
@@ -210,14 +210,12 @@ class DiscreteProblem(Unknowns):
             prescribed = inclined.prescribed(factors or {})
             inclined = replace(inclined, load=load)
             load, strain_free = inclined.posed(load, prescribed), inclined.strain_free(strain_free, prescribed)
-        result = self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact,
-                             strain_free=strain_free, inclined=inclined,
-                             volumes=self.volumes if volumes is None else volumes)
-        result._check_stops(factors or {})
-        return result
+        return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact,
+                           strain_free=strain_free, inclined=inclined,
+                           volumes=self.volumes if volumes is None else volumes)
 
-    def _check_stops(self, factors: Mapping[str, float]) -> None:
-        """ValueError if what supports prescribe in a load step crosses an obstacle."""
+    def check_stops(self, factors: Mapping[str, float]) -> None:
+        """ValueError if what supports hold in a load step lies inside an obstacle."""
         if self.stops is not None:
             moved = self.fixed_values.reshape(-1, self.dim).copy()
             if self.inclined is not None:

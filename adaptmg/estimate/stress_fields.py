@@ -136,6 +136,8 @@ def neighbours(mesh: MeshArrays) -> Neighbours:
     return Neighbours(across.reshape(-1, k), side // k, across[side] < 0)
 
 
+_OTHER_STEP = ("of a load step, or where forces are prescribed, give hierarchy.with_problem("
+               "adaptmg.problem.step_problem(problem, factors, result.motions))")
 #: relative difference of loads that agree; those of the result are exact to rounding
 _LOADS_AGREE = 1e-6
 #: of A u, over the diagonal times u: bodies that their supports move strain no element
@@ -188,7 +190,7 @@ class Posed:
 
     def check_loads(self) -> None:
         """Raise ValueError unless the loads of the problem are those of the result, b = A u - reactions - contact
-        forces."""
+        forces, and its obstacles."""
         unknowns, forces = self._moved
         exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
         if exerted.shape != forces.shape:
@@ -204,8 +206,11 @@ class Posed:
         rounding = _ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
         allowed = max(_LOADS_AGREE * max(euclidean_norm(forces), euclidean_norm(load)), rounding)
         if not min(euclidean_norm(load - expected), euclidean_norm(load - posed)) <= allowed:
-            raise ValueError("result has other loads than those of hierarchy.problem: for step k of a load path give "
-                             "dataclasses.replace(hierarchy, problem=adaptmg.problem.step_problem(problem, factors))")
+            raise ValueError("result has other loads than those of hierarchy.problem: " + _OTHER_STEP)
+        posed, own = self.discrete.exchange or self.discrete, self.result.contact
+        left = own.gap + own.u_n - posed.contact.gaps
+        if np.abs(left).max(initial=0.0) > _LOADS_AGREE * np.abs([own.gap, own.u_n]).max(initial=0.0):
+            raise ValueError("result has its obstacles in other places than hierarchy.problem: " + _OTHER_STEP)
 
 
 def posed(hierarchy: Hierarchy, result: Result) -> Posed:

@@ -17,7 +17,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSupport, Preload, Pressure, Support
-from adaptmg.problem.moving import moving_parts
+from adaptmg.problem.moving import moving_parts, placed
 from adaptmg.problem.surfaces import Periodic, Tied
 
 BODY_FORCE = "body force"  # name of body forces that act on all bodies
@@ -129,6 +129,10 @@ def _acting(problem: ContactProblem) -> list[Acting]:
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
     """Names of all loads and of the supports that prescribe a displacement other than zero, each once."""
     named = list(map(name_in_path, _acting(problem)))
+    for load in problem.loads:
+        if isinstance(load, Preload) and named.count(load.path_name) > 1:
+            raise ValueError(f"{load.path_name!r} is the name of a preload and of another load or support: give each "
+                             "a name= of its own")
     for name in obstacles_in_path(problem):
         if name in named:
             raise ValueError(f"{name!r} is the name of an obstacle and of a load or support: give one name=")
@@ -186,19 +190,27 @@ class Scaled:
         return self.factor * np.asarray(self.function(points))
 
 
-def step_problem(problem: ContactProblem, factors: Mapping[str, float]) -> ContactProblem:
+def step_problem(problem: ContactProblem, factors: Mapping[str, float],
+                 motions: Mapping[str, ArrayLike] | None = None) -> ContactProblem:
     """Return the problem with its loads and prescribed displacements multiplied by the factors of one load step.
 
     ``factors`` go by the names of a :class:`LoadPath`; what is not named keeps its size. Those of step k of a
     PathResult are ``{name: values[k] for name, values in path.factors.items()}``. Loads with factor 0 stay, as zeros;
-    the slip of earlier steps is not part of it. ValueError for a name under which nothing is loaded or moved, or a
-    factor that is not finite.
+    the slip of earlier steps is not part of it. With the ``motions`` of the step's Result, Rigid obstacles have become
+    Moving ones and preloads initial strains. ValueError for a name under which nothing is loaded or moved, or a factor
+    that is not finite.
     """
     factors = {name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()}
     _check_names("factors name", factors, names_in_path(problem))
     by_kind = (("loads", _load), ("supports", _support), ("ties", _jump))
-    return replace(problem, **{kind: tuple(change(one, factors.get(name_in_path(one), 1.0))
-                                           for one in getattr(problem, kind)) for kind, change in by_kind})
+    changed = {kind: tuple(change(one, factors.get(name_in_path(one), 1.0)) for one in getattr(problem, kind))
+               for kind, change in by_kind}
+    if motions is not None:
+        changed["loads"] = tuple(one.shortening(problem.dim, *np.ravel(motions[one.path_name]))
+                                 if isinstance(one, Preload) else one for one in changed["loads"])
+    contact = tuple(replace(one, obstacle=placed(one.obstacle, factors, motions)) if isinstance(one, Contact) else one
+                    for one in problem.contact)
+    return replace(problem, contact=contact, **changed)
 
 
 def _check_names(what: str, factors: Mapping[str, object], names: tuple[str, ...]) -> None:
@@ -218,6 +230,8 @@ def times(value: Field | None, factor: float) -> Field | None:
 def _load(load: Load, factor: float) -> Load:
     if isinstance(load, Pressure):
         return replace(load, value=times(load.value, factor))
+    if isinstance(load, Preload):
+        return replace(load, force=factor * load.force)
     return replace(load, components=tuple(times(value, factor) for value in load.components))
 
 

@@ -246,11 +246,11 @@ class Preload:
         """The number of the axis."""
         return "xyz".index(self.axis)
 
-    def shortening(self, dim: int) -> InitialStrain:
-        """The initial strain that shortens the body by its whole length."""
+    def shortening(self, dim: int, strain: float = 1.0) -> InitialStrain:
+        """The initial strain that shortens the body by a strain, 1 its whole length."""
         components = [0.0] * dim
-        components[self.direction] = -1.0
-        return InitialStrain(self.body, tuple(components))
+        components[self.direction] = -float(strain)
+        return InitialStrain(self.body, tuple(components), name=self.name)
 
 
 Load = Pressure | Traction | BodyForce | InitialStrain | Preload

@@ -213,6 +213,12 @@ class Rigid:
         """The numbers of the components of force and moment that are prescribed."""
         return tuple(np.flatnonzero(~np.isnan(self.targets)).tolist())
 
+    def scaled(self, factor: float) -> Rigid:
+        """The same with ``factor`` times force and moment."""
+        force, moment = (tuple(None if value is None else factor * value for value in values)
+                         for values in (self.force, self.moment))
+        return replace(self, force=force, moment=moment)
+
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return contact normals and gaps in the first place; see :meth:`Plane.contact`."""
         return self.obstacle.contact(points, normals)
@@ -237,12 +243,14 @@ def moving_parts(obstacle: Obstacle) -> list[Moving | Rigid]:
     return result
 
 
-def placed(obstacle: Obstacle, factors: Mapping[str, float], motions: Mapping[str, np.ndarray]) -> Obstacle:
+def placed(obstacle: Obstacle, factors: Mapping[str, float], motions: Mapping[str, ArrayLike] | None) -> Obstacle:
     """An obstacle whose Moving parts have made ``factors`` of their motions (1 where not named), and whose Rigid one
-    has made that of ``motions`` (none)."""
+    has made that of ``motions`` (none where not named); without ``motions`` it has the factor of its force."""
     if isinstance(obstacle, Rigid):
         inner = replace(obstacle, obstacle=placed(obstacle.obstacle, factors, motions))
-        return inner.placed(motions.get(obstacle.name, np.zeros(3 * obstacle.dim - 3)))
+        if motions is None:
+            return inner.scaled(factors.get(obstacle.name, 1.0))
+        return inner.placed(np.asarray(motions.get(obstacle.name, np.zeros(3 * obstacle.dim - 3))))
     if isinstance(obstacle, Moving):
         inner = placed(obstacle.obstacle, factors, motions)
         return replace(obstacle.scaled(factors.get(obstacle.name, 1.0)), obstacle=inner)

@@ -372,6 +372,7 @@ class PathLoop:
         if parts:
             result, (grids, forces, coarse), motions = self.controls.find(
                 parts, lambda motions, near: self._solve(k, motions, near, progress))
+            grids.finest.discrete.check_stops(factors)
         else:
             result, (grids, forces, coarse) = self._solve(k, motions, None, progress)
         result = replace(result, mesh=result.mesh_or_none,
@@ -390,6 +391,8 @@ class PathLoop:
                   pressures=None if self.past.pressures is None else self.past.pressures[0])
         with run.phase("setup"):
             grids = self._posed(k, motions)
+            if not self.controls.rigid:  # these move until their forces fit, and may go too far on the way
+                grids.finest.discrete.check_stops(self._factors_at(k))
             forces = grids.finest.discrete.load_from_prescribed()
             run.examiner = self.examiner = self.examiner.at_step(grids.finest.discrete)
             past = self._with_extrapolated(forces, near)

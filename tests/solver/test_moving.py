@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import adaptmg as am
 from adaptmg.discrete.cut import cut_force
+from adaptmg.problem import step_problem
 
 E, NU, PRESS = 2e9, 0.3, 1e6
 
@@ -50,10 +51,17 @@ def test_force_and_moment_find_the_motion_that_made_them(seed):
     def rigid(place, vector):
         return am.Rigid(plane(place), force=tuple(total.force), moment=float(total.moment), about=place((0.5, 1)))
 
-    found = am.solve(turned_block(np.random.default_rng(seed), rigid, sticks)[0])
+    pressed = turned_block(np.random.default_rng(seed), rigid, sticks)[0]
+    found = am.solve(pressed)
     expected = np.r_[obstacle.displacement / size, angle]
     np.testing.assert_allclose(found.motions["obstacle"] / np.array([size, size, 1]), expected, atol=1e-5 * depth)
     np.testing.assert_allclose(found.displacement, moved.displacement, atol=1e-5 * depth * size)
+    placed = pressed.with_problem(step_problem(pressed.problem, {}, found.motions))
+    for indicator in (am.Residual(), am.Goal(am.MeanDisplacement("top", 1))):
+        estimates = [indicator.indicate(one, result).total for one, result in ((placed, found), (grids, moved))]
+        assert estimates[0] == pytest.approx(estimates[1], rel=1e-3, abs=1e-9 * size)
+        with pytest.raises(ValueError, match="obstacles in other places"):
+            indicator.indicate(pressed, found)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -122,6 +130,11 @@ def test_a_preload_is_carried_by_cut_heads_and_joint(joint):
     relieved = second.resultant("upper.joint").force[1]
     thrust = grids.problem.reference["thrust"]
     assert relieved + thrust == pytest.approx(at_cut[1], rel=1e-2)  # the bore's corner faces the joint's gap
+    placed = grids.with_problem(step_problem(grids.problem, dict.fromkeys(FILLED, 0.0), first.motions))
+    assert am.Residual().indicate(placed, first).total > 0  # its loads are those of the step
+    hot = am.InitialStrain("bolt", (0.0, 1e-4))
+    with pytest.raises(ValueError, match="'bolt' is the name of a preload and of another load"):
+        am.solve(grids.with_problem(replace(grids.problem, loads=(bolt, hot))))
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.4999, 0.5])
@@ -151,6 +164,19 @@ def test_a_stored_path_goes_on_with_its_motions(joint, tmp_path):
     for one, other in zip(whole, again, strict=True):
         assert one.motions["bolt"] == pytest.approx(other.motions["bolt"], rel=1e-6)
         np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-6 * np.abs(one.displacement).max())
+
+
+@pytest.mark.parametrize("kind", ["moved", "pressed"])
+def test_no_obstacle_goes_through_what_a_support_holds(kind):
+    def obstacle(place, vector):
+        if kind == "moved":
+            return am.Moving(plane(place), displacement=vector(np.array([0.0, -1e-3])))
+        return am.Rigid(plane(place), force=tuple(PRESS * vector(np.array([0.0, -1.0]))), moment=None)
+
+    grids, *_ = turned_block(np.random.default_rng(3), obstacle, am.Coulomb(0.5))
+    held = replace(grids.problem, supports=(*grids.problem.supports, am.Support("left", x=0, y=0)))
+    with pytest.raises(ValueError, match=r"of contact boundary 'top' .* inside its obstacle"):
+        am.solve(grids.with_problem(held))
 
 
 def test_what_cannot_be_found_is_refused():
