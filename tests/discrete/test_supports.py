@@ -326,7 +326,7 @@ def test_a_support_may_move_up_to_the_obstacle_and_not_beyond(seed):
     # along what is held of a normal no motion may change the gap, this way or that
     oblique = replace(problem, contact=am.Contact("bottom", am.Plane((0, -3), (-1, 1))))
     for moved in (-1e-3, 1e-3):
-        with pytest.raises(ValueError, match=r"moves contact boundary 'bottom' .* into its obstacle"):
+        with pytest.raises(ValueError, match=r"of contact boundary 'bottom' .* inside its obstacle"):
             am.discretise(replace(oblique, supports=(am.Support("left", x=moved),)),
                           structured(am.Rectangle(width=1.0, height=0.2), 2))
 
