@@ -216,8 +216,8 @@ def step_problem(problem: ContactProblem, factors: Mapping[str, float],
 def _check_names(what: str, factors: Mapping[str, object], names: tuple[str, ...]) -> None:
     for name in factors:
         if name not in names:
-            raise ValueError(f"{what} {name!r}, where the problem has no load and no prescribed displacement other "
-                             f"than zero; known are {', '.join(map(repr, names)) or 'none'}")
+            raise ValueError(f"{what} {name!r}, which no load, moving obstacle or prescribed displacement other than "
+                             f"zero has; known are {', '.join(map(repr, names)) or 'none'}")
 
 
 def times(value: Field | None, factor: float) -> Field | None:
