@@ -195,7 +195,7 @@ class Result:
         """
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
-            if problem.volumes is not None and np.shape(self.pressures) != (len(problem.volumes),):
+            if problem.volumes is not None and (self.pressures is None or len(self.pressures) != len(problem.volumes)):
                 raise ValueError(f"problem has {len(problem.volumes)} volumes, whose pressures this result has not: "
                                  "give the problem that was solved")
             return certify(problem, self.displacement, cast("ContactClaims", self.contact), bound,
