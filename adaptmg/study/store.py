@@ -38,12 +38,11 @@ _COLUMNS: dict[str, tuple[str, type | tuple[type, ...]]] = {
     "peak_memory": ("peak_memory", int), "started": ("started", str), "machine": ("machine", str),
     "commit_id": ("commit", str), "tries": ("tries", int), "files": ("files", dict)}
 _NAMES = ", ".join(_COLUMNS)
+_TYPES = {str: "TEXT", dict: "TEXT", int: "INTEGER", (int, float): "REAL"}
 _TABLES = (
-    "CREATE TABLE runs (study TEXT NOT NULL, parameters TEXT NOT NULL, "
-    "status TEXT NOT NULL CHECK (status IN ('done', 'failed')), results TEXT NOT NULL, error TEXT NOT NULL, "
-    "seconds REAL NOT NULL, code TEXT NOT NULL, versions TEXT NOT NULL, finished TEXT NOT NULL, "
-    "traceback TEXT NOT NULL, peak_memory INTEGER NOT NULL, started TEXT NOT NULL, machine TEXT NOT NULL, "
-    "commit_id TEXT NOT NULL, tries INTEGER NOT NULL, files TEXT NOT NULL, PRIMARY KEY (study, parameters))",
+    f"CREATE TABLE runs (study TEXT NOT NULL, "
+    f"{', '.join(f'{name} {_TYPES[kind]} NOT NULL' for name, (_, kind) in _COLUMNS.items())}, "
+    "CHECK (status IN ('done', 'failed')), PRIMARY KEY (study, parameters))",
     "CREATE TABLE origins (code TEXT PRIMARY KEY, parts TEXT NOT NULL)",
     f"PRAGMA user_version = {_FORMAT}")
 _CLAIMS = "CREATE TABLE IF NOT EXISTS claims (study TEXT, parameters TEXT, owner TEXT, PRIMARY KEY (study, parameters))"
