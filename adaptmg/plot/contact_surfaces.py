@@ -24,13 +24,13 @@ from numpy.typing import ArrayLike
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.plot import style
-from adaptmg.plot.style import BLUE, cells, label_text, new_figure, number, plain, state_lines, stated_curve, styled
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
 
 #: length of the mean of the unit normals below which a surface is taken to bend around an axis
 _AROUND = 0.5
+
 
 @style.styled
 def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: object = None) -> Figure:
@@ -325,7 +325,7 @@ def keep_open(ax: Axes, values: np.ndarray, largest: float) -> None:
 _COLUMNS = 4
 
 
-@styled
+@style.styled
 def load_history(results: Sequence[Result], factors: ArrayLike,
                  quantities: Mapping[str, Callable[[Result], float]], *, against: str = "load factor",
                  steps: int = 8) -> Figure:
@@ -355,7 +355,7 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
     3
     """
     results, factors = _checked(results, factors)
-    against = label_text(checks.instance("against", against, str))
+    against = style.label_text(checks.instance("against", against, str))
     rows = _evaluate(results, quantities)
     names = chosen_boundaries(results[-1]) if checks.integer("steps", steps) else ()
     if not rows and not names:
@@ -364,19 +364,19 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
     columns, curve_columns = min(_COLUMNS, max(len(shown), 1)), min(3, max(len(rows), 1))
     curve_rows, map_rows = -(-len(rows) // curve_columns), -(-len(shown) // columns)
     heights = [2.7 * curve_rows] * bool(rows) + [2.1 * map_rows + 0.5] * len(names)
-    figure = new_figure((max(3.2 * curve_columns * bool(rows), 2.4 * columns, 5.0), sum(heights) + 0.4))
+    figure = style.new_figure((max(3.2 * curve_columns * bool(rows), 2.4 * columns, 5.0), sum(heights) + 0.4))
     parts = iter(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0])
     if rows:
-        axes = cells(next(parts), len(rows), curve_columns)
+        axes = style.cells(next(parts), len(rows), curve_columns)
         for ax, (label, values) in zip(axes, rows.items(), strict=True):
             _draw_curve(ax, factors, values, label, against)
     for name in names:
         part = next(parts)
         left_out = f": {len(shown)} of {len(results)} steps" if len(shown) < len(results) else ""
         part.suptitle(pair_name(results[0].contact, name) + left_out, fontsize=10)
-        _draw_steps(part, [results[k] for k in shown], [f"{against} {number(factors[k])}" for k in shown], name,
+        _draw_steps(part, [results[k] for k in shown], [f"{against} {style.number(factors[k])}" for k in shown], name,
                     columns)
-    figure.suptitle(plain(results[-1].problem_name), fontsize=11)
+    figure.suptitle(style.plain(results[-1].problem_name), fontsize=11)
     return figure
 
 
@@ -408,12 +408,13 @@ def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray
 def _evaluate(results: list[Result], quantities: Mapping[str, Callable[[Result], float]]) -> dict[str, np.ndarray]:
     if not isinstance(quantities, Mapping) or not all(map(callable, quantities.values())):
         raise TypeError(f"quantities must map labels to functions of a Result, got {quantities!r}")
-    return {label_text(str(label)): np.array([checks.number(f"quantities[{label!r}] of step {k}", function(result))
-                             for k, result in enumerate(results)]) for label, function in quantities.items()}
+    return {style.label_text(str(label)): np.array([
+        checks.number(f"quantities[{label!r}] of step {k}", function(result)) for k, result in enumerate(results)])
+        for label, function in quantities.items()}
 
 
 def _draw_curve(ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, against: str) -> None:
-    ax.plot(factors, values, marker="o" if len(factors) <= 60 else "", markersize=3.5, color=BLUE)
+    ax.plot(factors, values, marker="o" if len(factors) <= 60 else "", markersize=3.5, color=style.BLUE)
     turns = np.flatnonzero(np.diff(np.sign(np.diff(factors))) != 0) + 1
     if len(turns):
         # up and down: an arrow in the middle of each branch
@@ -421,8 +422,8 @@ def _draw_curve(ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, a
             k = (a + b) // 2
             middle = [0.5 * (v[k] + v[k + 1]) for v in (factors, values)]
             ax.annotate("", middle, (factors[k], values[k]),
-                        arrowprops={"arrowstyle": "-|>,head_width=0.35,head_length=0.8", "color": BLUE, "shrinkA": 0,
-                                    "shrinkB": 0})
+                        arrowprops={"arrowstyle": "-|>,head_width=0.35,head_length=0.8", "color": style.BLUE,
+                                    "shrinkA": 0, "shrinkB": 0})
     ax.set_xlabel(against)
     ax.set_ylabel(label)
     ax.grid(True)
@@ -430,7 +431,7 @@ def _draw_curve(ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, a
 
 def _draw_steps(part: SubFigure, results: list[Result], titles: list[str], name: str, columns: int) -> None:
     """Draw the contact pressure of each step, with common scales: curves, in 3D maps."""
-    axes = cells(part, len(results), columns, share=True)
+    axes = style.cells(part, len(results), columns, share=True)
     if results[0].dim == 3:
         flat = flattened(results[0], name)
         pressures = [1e-6 * result.contact.pressure[flat.index] for result in results]
@@ -446,7 +447,7 @@ def _draw_steps(part: SubFigure, results: list[Result], titles: list[str], name:
         lines, contacts = lines_of(results[0], name), [result.contact for result in results]
         for ax, c in zip(axes, contacts, strict=True):
             for line in lines:
-                stated_curve(ax, line.position, 1e-6 * c.pressure[line.index], c.state[line.index], 1.5)
+                style.stated_curve(ax, line.position, 1e-6 * c.pressure[line.index], c.state[line.index], 1.5)
         for ax in axes[::columns]:
             ax.set_ylabel("pressure [MPa]")
         along = lines[0].label
@@ -454,7 +455,8 @@ def _draw_steps(part: SubFigure, results: list[Result], titles: list[str], name:
         axes[0].set_ylim(bottom=0.0)
         pressures = np.array([1e-6 * c.pressure for c in contacts])
         keep_open(axes[0], pressures[:, np.concatenate([line.index for line in lines])], float(pressures.max()))
-        part.legend(handles=state_lines(np.concatenate([c.state for c in contacts]), 2.5), loc="outside right upper")
+        states = np.concatenate([c.state for c in contacts])
+        part.legend(handles=style.state_lines(states, 2.5), loc="outside right upper")
     for ax, title in zip(axes, titles, strict=True):
         ax.set_title(title, fontsize=9)
     part.supxlabel(along, fontsize=9.5)

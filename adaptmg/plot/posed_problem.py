@@ -1,8 +1,8 @@
 """problem: a picture of a contact problem - boundaries coloured by their use, loads as arrows, and a legend.
 
 Plane bodies are polygons (arcs as chords), as in Fig. 2 of the paper, or the triangles of a user's mesh without the
-lines between them; solids are the surface of a mesh. The arrows of
-tractions are proportional to them: those that push end on the boundary, those that pull start there.
+lines between them; solids are the surface of a mesh. The arrows of tractions are proportional to them: those that push
+end on the boundary, those that pull start there.
 """
 
 from __future__ import annotations
