@@ -230,7 +230,7 @@ def _draw_solid(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D) -> None:
     if len(mesh.bodies) == 1:
         # the view in which contact, three times, and loads show most
         seen = [*3 * posed.contact_boundaries, *(load.boundary for load in _surface_loads(posed))]
-        view_of(ax, np.concatenate([corners[of_boundary[name]] for name in seen]))
+        view_of(ax, np.concatenate([corners[:0], *(corners[of_boundary[name]] for name in seen)]))
     if len(mesh.bodies) == 1 or isinstance(posed.domain, StepFile):
         for name, mine in of_boundary.items():
             if mine.any() and normals_of(corners[mine]).mean(axis=0) @ viewer(ax.elev, ax.azim) > 0.1:
@@ -296,8 +296,8 @@ def _legend(posed: ContactProblem, ax: Axes, bodies: Sequence[str], fills: Seque
     if len(bodies) == 1 and (free := [style.quoted(name) for name in boundaries if name not in used]):
         entries.append((Patch(facecolor=style.PALE, edgecolor=style.INK), f"free: {', '.join(free)}"))
     handles, labels = zip(*entries, strict=True)
-    ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.02, 1.0), title=_law_text(posed.law), fontsize=8,
-              alignment="left", borderaxespad=0.0)
+    ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.02, 1.0), fontsize=8, alignment="left",
+              title=_law_text(posed.law) if posed.contact else None, borderaxespad=0.0)
 
 
 def _law_text(law: laws.Law) -> str:

@@ -71,6 +71,13 @@ def test_loads_that_are_zero_are_not_drawn():
     assert "free: 'top'" in words(figure)
 
 
+@pytest.mark.parametrize("domain", [am.Rectangle(width=1, height=2), am.Box(width=1, depth=1, height=2)])
+def test_a_body_alone_is_drawn_with_its_names(domain):
+    material = (am.Solid if domain.dim == 3 else am.PlaneStrain)(**STEEL)
+    shown = words(am.plot.problem(am.ContactProblem(domain=domain, material=material, name="body")))
+    assert "frictionless" not in shown and [name for name in domain.boundaries if name not in shown] == []
+
+
 def test_arrows_are_proportional_to_tractions_and_end_at_bodies():
     quivers = am.plot.problem(am.cases.greco_bar()).axes[0].findobj(Quiver)
     lengths = [np.hypot(q.U, q.V) for q in quivers]
