@@ -224,6 +224,8 @@ class _Newton:
 
     def _interior(self) -> Status | None:
         """Go to what the interior point method finds, to the next of the tolerances."""
+        if not len(self.local.contact.gap):
+            return Status.STALLED  # no contact to be inside of
         if not self._tolerances:
             return Status.CYCLING
         tolerance = self._tolerances.pop(0)
