@@ -5,8 +5,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from bisected_meshes import shaken
 from refused import refused
+from two_materials import EACH_KIND, MESHES
 from uncompiled import uncompile
 
 import adaptmg as am
@@ -16,25 +16,8 @@ from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.smoothed import smoothed_stiffness
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate.reference_error import Reference
-from adaptmg.mesh import MeshArrays, structured
+from adaptmg.mesh import MeshArrays
 from adaptmg.problem.loads import InitialStrain
-
-KINDS = {"plane strain": am.PlaneStrain, "plane stress": am.PlaneStress, "axisymmetric": am.Axisymmetric,
-         "solid": am.Solid}
-EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-
-
-def glued(dim: int) -> MeshArrays:
-    """Two bodies that share the nodes of the plane x = 1, shaken elsewhere."""
-    mesh = structured(am.Rectangle(width=2.0, height=1.0) if dim == 2 else am.Box(width=2.0, depth=1.0, height=1.0),
-                      (6, 4) if dim == 2 else (4, 2, 2))
-    moved = shaken(mesh, 0.05, 1).points
-    points = np.where(np.isclose(mesh.points[:, :1], 1.0), mesh.points, moved)
-    return replace(mesh, points=points, bodies=("left", "right"), source=None,
-                   element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.0)
-
-
-MESHES = {dim: glued(dim) for dim in (2, 3)}
 
 
 def two(kind) -> dict:
