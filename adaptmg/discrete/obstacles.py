@@ -82,8 +82,7 @@ def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, sur
                          "allow_interference=True for an interference fit")
     free = free_normals(problem, mesh, k, nodes, normals, held)
     length = np.linalg.norm(free, axis=1)
-    kept, partly = length > TANGENTIAL, length < 1 - TANGENTIAL
-    partly &= kept
+    kept, partly = length > TANGENTIAL, _held_in_part(free, normals)
     # where a part of the normal is held a motion along it, either way, would change the gap
     cases = () if contact.allow_interference else ((~kept, 1, gaps), (partly, 1, 0 * gaps), (partly, -1, 0 * gaps))
     stops = [Stops(nodes[here], sign * normals[here], far[here], np.full(here.sum(), contact.boundary))
@@ -129,9 +128,14 @@ def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, norma
 
 def along_free(free: np.ndarray, normals: np.ndarray, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normals (n, dim) and gaps (n,) along the free parts (n, dim) of the normals, unchanged where these vanish."""
-    length = np.linalg.norm(free, axis=1)
-    length[(length <= TANGENTIAL) | (length >= 1 - TANGENTIAL)] = 1.0
-    return np.where((length < 1)[:, None], free / length[:, None], normals), gaps / length
+    part = _held_in_part(free, normals)
+    length = np.where(part, np.linalg.norm(free, axis=1), 1.0)
+    return np.where(part[:, None], free / length[:, None], normals), gaps / length
+
+
+def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Of which normals (n,) supports hold a part, however small, and not all."""
+    return (np.linalg.norm(free, axis=1) > TANGENTIAL) & (free != normals).any(axis=1)
 
 
 def free_normals(problem: ContactProblem, mesh: MeshArrays, k: int, nodes: np.ndarray, normals: np.ndarray,

@@ -11,7 +11,7 @@ from adaptmg._text import brief, html_fields
 from adaptmg.problem.laws import Frictionless, Law, check_law
 from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Preload, Pressure, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStress
-from adaptmg.problem.moving import Moving, Obstacle, Rigid
+from adaptmg.problem.moving import Moving, Obstacle, Rigid, moving_parts
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.surfaces import ContactPair, Periodic, Plane, Tied
 
@@ -142,7 +142,7 @@ class ContactProblem:
             if support.boundary is None and len(support.point) != self.dim:
                 raise ValueError(f"{checks.shown(support)} is at a point with {len(support.point)} components in a "
                                  f"{self.dim}D problem")
-        _check_contact(self.contact, self.dim)
+        _check_contact(self.contact, self.dim, self.axisymmetric)
         _check_ties(self.ties, self.contact_boundaries, self.dim)
         self._check_name_contact()
         if self.domain is not None:
@@ -289,7 +289,7 @@ def _check_ties(ties: tuple[Tied | Periodic, ...], contact_boundaries: tuple[str
                              "slave and master in one of the ties, or cut the boundary in two")
 
 
-def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int) -> None:
+def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int, axisymmetric: bool) -> None:
     names = [c.boundary for c in contact]
     rigid = {c.boundary for c in contact if isinstance(c, Contact)}
     for name in names:
@@ -303,3 +303,7 @@ def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int) -> None
         if isinstance(c, Contact) and isinstance(c.obstacle, Plane | Moving | Rigid) and c.obstacle.dim != dim:
             raise ValueError(f"the {type(c.obstacle).__name__} in front of {c.boundary!r} is {c.obstacle.dim}D, the "
                              f"material {dim}D")
+        for one in moving_parts(c.obstacle) if axisymmetric and isinstance(c, Contact) else ():
+            if not one.along_axis:
+                raise ValueError(f"the obstacle {one.name!r} in front of {c.boundary!r} must move along the axis only, "
+                                 "or be pressed along it: an axisymmetric body has no other rigid motion")

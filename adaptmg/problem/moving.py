@@ -55,7 +55,7 @@ class Moving:
     obstacle : Plane, GapFunction or Moving
         What moves; a user-defined one offers ``contact``.
     displacement : (dim,) sequence of float
-        m.
+        m; in axisymmetric problems along y, without rotation.
     rotation : float or (3,) sequence of float
         rad; counter-clockwise in the plane, in space along the axis (3,). Obstacles that are not planes turn to first
         order: keep it small.
@@ -99,6 +99,11 @@ class Moving:
     def dim(self) -> int:
         """Space dimension."""
         return self.displacement.size
+
+    @property
+    def along_axis(self) -> bool:
+        """Whether it moves along y alone."""
+        return not (self.displacement[0] or self.rotation.any())
 
     def scaled(self, factor: float) -> Moving:
         """The same with ``factor`` times the motion."""
@@ -212,6 +217,11 @@ class Rigid:
     def free(self) -> tuple[int, ...]:
         """The numbers of the components of force and moment that are prescribed."""
         return tuple(np.flatnonzero(~np.isnan(self.targets)).tolist())
+
+    @property
+    def along_axis(self) -> bool:
+        """Whether it is free to move along y alone."""
+        return self.free == (1,)
 
     def scaled(self, factor: float) -> Rigid:
         """The same with ``factor`` times force and moment."""

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import adaptmg as am
 from adaptmg.discrete.cut import cut_force
+from adaptmg.mesh import structured
 from adaptmg.problem import step_problem
 
 E, NU, PRESS = 2e9, 0.3, 1e6
@@ -166,6 +167,22 @@ def test_a_stored_path_goes_on_with_its_motions(joint, tmp_path):
         np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-6 * np.abs(one.displacement).max())
 
 
+@pytest.mark.parametrize("turn", [np.eye(2), rotation(0.7)], ids=["straight", "turned"])
+def test_a_punch_on_a_roller_may_be_tilted_by_any_angle(turn):
+    """The roller holds a part of its normal, however small: forces depend on the angle without jumps."""
+    meshes = [structured(am.Rectangle(width=1, height=1), n) for n in (4, 8)]
+    meshes = [replace(mesh, points=mesh.points @ turn.T, source=None) for mesh in meshes]
+    forces = []
+    for angle in (0.0, 1e-9, 1e-7, 1e-5, 1e-4):
+        punch = am.Moving(am.Plane(turn @ (0, 1), turn @ (0, -1)), displacement=turn @ (0, -1e-3), rotation=angle)
+        problem = am.ContactProblem(
+            material=am.PlaneStrain(young=E, poisson=NU), law=am.Coulomb(0.3), contact=am.Contact("top", punch),
+            supports=(am.Support("bottom", x=0, y=0), am.Symmetry("left")))
+        result = am.solve(am.Hierarchy.from_meshes(problem, meshes), am.ActiveSet(rtol=1e-11))
+        forces.append(turn.T @ result.resultant("top").force)
+        assert np.abs(forces[-1] - forces[0]).max() <= E * angle + 1e-8 * np.abs(forces[0]).max()
+
+
 @pytest.mark.parametrize("kind", ["moved", "pressed"])
 def test_no_obstacle_goes_through_what_a_support_holds(kind):
     def obstacle(place, vector):
@@ -203,7 +220,11 @@ def test_what_cannot_be_found_is_refused():
     for method in (None, am.Multigrid(rtol=1e-4)):
         with pytest.raises(ValueError, match=r"nothing resists .body.: .* hold a bolt"):
             am.solve(am.Hierarchy.uniform(free, [(1, 8), (2, 16)]), method)
-    floor = am.Plane((0, 0), (0, 1))
+    ring, floor = am.Axisymmetric(young=E, poisson=NU), am.Plane((0, 0), (0, 1))
+    for obstacle in (am.Moving(floor, displacement=(1.0, 0.0)), am.Moving(floor, displacement=(0, 1), rotation=1e-3),
+                     am.Rigid(floor, force=(0.0, 1.0)), am.Rigid(floor, force=(None, 1.0), moment=0.0)):
+        with pytest.raises(ValueError, match="must move along the axis only"):
+            am.ContactProblem(material=ring, contact=am.Contact("bottom", obstacle), law=am.Frictionless())
     for make, words in ((lambda: am.Rigid(floor, force=(None, None)), "force and moment are None"),
                         (lambda: am.Rigid(floor, force=(0.0, None)), "component other than zero"),
                         (lambda: am.Moving(floor, displacement=(0, 0, 1)), "displacement must have 2 components"),
