@@ -32,6 +32,8 @@ class Contents:
     node_sets: dict[str, np.ndarray] = field(default_factory=dict)
     surfaces: set[str] = field(default_factory=set)  # those sets of nodes that come before the others
     notes: list[str] = field(default_factory=list)
+    #: cells of each block (m,) bool by name; a piece is called after the smallest set that holds all of it
+    cell_sets: dict[str, list[np.ndarray]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +53,10 @@ def mesh_of(contents: Contents, *, unit: float, unnamed: str, split_bodies: bool
             boundaries: Sequence[str] | None, body: str | None) -> tuple[MeshArrays, np.ndarray]:
     """The checked mesh, and the midpoints (n, dim), m, of boundary facets that no name of the file holds."""
     _check(contents)
-    tables, cut = _cut(contents, unit, body)
+    tables, cell, cut = _cut(contents, unit, body)
     table = facet_table(tables.elements, len(tables.points))
-    tables, pieces = _in_pieces(tables, table)
+    sets = {} if body is not None else contents.cell_sets
+    tables, pieces = _in_pieces(tables, table, {name: np.concatenate(parts)[cell] for name, parts in sets.items()})
     tables, overlaps = _labelled(tables, table, contents, boundaries, unnamed)
     if split_bodies:
         tables = _split(tables)
@@ -74,8 +77,8 @@ def _check(contents: Contents) -> None:
             raise ValueError("elements or sets name nodes that it does not hold")
 
 
-def _cut(contents: Contents, unit: float, body: str | None) -> tuple[_Tables, list[str]]:
-    """The simplices of the cells of the largest dimension, without facets, and what was cut."""
+def _cut(contents: Contents, unit: float, body: str | None) -> tuple[_Tables, np.ndarray, list[str]]:
+    """The simplices of the cells of the largest dimension, without facets; the cell of each; and what was cut."""
     kinds = {kind for kind, nodes, _ in contents.cells if len(nodes)}
     dim = max(map(dimension, kinds), default=0)
     if dim < 2:
@@ -84,7 +87,8 @@ def _cut(contents: Contents, unit: float, body: str | None) -> tuple[_Tables, li
                          "add a Physical Surface or Volume)")
     points, counts = contents.points, {}
     elements, labels = [np.empty((0, dim + 1), dtype=np.int64)], [np.empty(0, dtype=np.int64)]
-    for kind, nodes, label in contents.cells:
+    cells, ends = [np.empty(0, dtype=np.int64)], np.cumsum([len(nodes) for _, nodes, _ in contents.cells])
+    for (kind, nodes, label), end in zip(contents.cells, ends, strict=True):
         if len(nodes) and dimension(kind) == dim:
             found, owner = simplices(kind, nodes, points)
             bad = _turned_over(points[:, :dim], found, owner, len(nodes))
@@ -95,6 +99,7 @@ def _cut(contents: Contents, unit: float, body: str | None) -> tuple[_Tables, li
                 found, owner = np.concatenate([found[whole], again]), np.concatenate([owner[whole], bad[whose]])
             elements.append(found)
             labels.append(label[owner])
+            cells.append(end - len(nodes) + owner)
             counts.setdefault(kind, []).append(np.bincount(owner, minlength=len(nodes)))
     used = points[np.unique(np.concatenate(elements))]
     if dim == 2 and np.ptp(used[:, 2]) > _FLAT * np.ptp(used[:, :2], axis=0).max():
@@ -105,7 +110,7 @@ def _cut(contents: Contents, unit: float, body: str | None) -> tuple[_Tables, li
         label, bodies = np.zeros_like(label), [body]
     empty = np.empty(0, dtype=np.int64)
     return _Tables(unit * points[:, :dim], np.concatenate(elements), label, list(bodies), empty.reshape(-1, dim), empty,
-                   []), list(filter(None, (cut_note(kind, np.concatenate(parts)) for kind, parts in counts.items())))
+                   []), np.concatenate(cells), list(filter(None, (cut_note(kind, np.concatenate(parts)) for kind, parts in counts.items())))
 
 
 def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
@@ -115,12 +120,18 @@ def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: in
     return np.unique(owner[sizes * np.sign(whole[owner]) <= 1e-9 * np.abs(whole[owner])])
 
 
-def _in_pieces(tables: _Tables, table: FacetTable) -> tuple[_Tables, list[str]]:
-    """Each piece a body; the pieces of one name are "name", "name_2", ... in the order of their first elements."""
+def _in_pieces(tables: _Tables, table: FacetTable, sets: dict[str, np.ndarray]) -> tuple[_Tables, list[str]]:
+    """Each piece a body, called after the smallest of the sets of elements (n,) bool that hold all of it; the pieces of
+    one name are "name", "name_2", ... in the order of their first elements."""
     part = components(table, tables.body)
-    _, first = np.unique(part, return_index=True)
+    _, first, sizes = np.unique(part, return_index=True, return_counts=True)
     order = np.argsort(first)
-    called = [tables.bodies[tables.body[first[k]]] for k in order]
+    by_piece, least = [tables.bodies[k] for k in tables.body[first]], np.full(len(sizes), len(part) + 1)
+    for name, inside in sets.items():
+        better = (np.bincount(part[inside], minlength=len(sizes)) == sizes) & (np.count_nonzero(inside) < least)
+        least[better] = np.count_nonzero(inside)
+        by_piece = [name if take else before for take, before in zip(better, by_piece, strict=True)]
+    called = [by_piece[k] for k in order]
     names, count = [], Counter()
     for name in called:
         count[name] += 1

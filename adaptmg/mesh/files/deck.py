@@ -15,8 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from adaptmg._files import file_size, read_bytes
 from adaptmg.mesh.files.contents import Contents
@@ -284,11 +282,16 @@ class _Deck:
         contents = Contents(points, [], [], notes=notes, surfaces=self.nodal)
         solid = [block for block in blocks if dimension(block[0]) == dim]
         sets = {name: np.unique(root.members(kind, name)[:, 0]) for kind, name in root.sets if kind == "element"}
-        piece, contents.bodies = _pieces(solid, sets, root.sections, len(points))
-        contents.bodies = [self._spelt(name) for name in contents.bodies]
-        ends = np.cumsum([len(elements) for _, elements, *_ in solid])[:-1]
-        contents.cells = [(kind, nodes, own)
-                          for (kind, _, nodes, _), own in zip(solid, np.split(piece, ends), strict=True)]
+        # bodies are pieces of one section, or of one block
+        sections = list(dict.fromkeys(root.sections or [name for *_, name in solid]))
+        contents.bodies = ["body"] * (1 + len(sections))
+        for kind, elements, nodes, name in solid:
+            own = np.full(len(nodes), 0 if root.sections else 1 + sections.index(name))
+            for k, section in enumerate(root.sections and sections):
+                own[np.isin(elements, sets.get(section, []))] = 1 + k
+            contents.cells.append((kind, nodes, own))
+        contents.cell_sets = {self._spelt(name): [np.isin(elements, members) for _, elements, *_ in solid]
+                              for name, members in sets.items()}
         for name, members in sets.items():
             sheets = [(kind, nodes[np.isin(elements, members)]) for kind, elements, nodes, _ in blocks
                       if dimension(kind) == dim - 1]
@@ -352,37 +355,6 @@ def _rows(nodes: np.ndarray, numbers: np.ndarray, what: str) -> np.ndarray:
 
 
 Blocks = list[tuple[str, np.ndarray, np.ndarray, str]]
-
-
-def _pieces(solid: Blocks, sets: dict[str, np.ndarray], sections: list[str], n_nodes: int
-            ) -> tuple[np.ndarray, list[str]]:
-    """The piece of each element, and the name of each piece."""
-    numbers = np.concatenate([elements for _, elements, *_ in solid])
-    part = np.zeros(len(numbers), dtype=np.int64)
-    if sections:
-        for k, name in enumerate(sections):
-            part[np.isin(numbers, sets.get(name, []))] = k + 1
-    else:
-        names = list(dict.fromkeys(name for *_, name in solid))
-        part = np.concatenate([np.full(len(elements), names.index(name)) for _, elements, _, name in solid])
-    # elements and nodes as a graph; a node is another one for each section
-    count = np.concatenate([np.full(len(nodes), nodes.shape[1]) for _, _, nodes, _ in solid])
-    element = np.repeat(np.arange(len(numbers)), count)
-    _, node = np.unique(np.concatenate([nodes.ravel() for _, _, nodes, _ in solid]) + n_nodes * part[element],
-                        return_inverse=True)
-    n = len(numbers) + int(node.max()) + 1
-    graph = sparse.coo_array((np.ones(len(node), dtype=np.int8), (element, len(numbers) + node)), shape=(n, n))
-    piece = connected_components(graph, directed=False)[1][:len(numbers)]
-    piece = np.unique(piece, return_inverse=True)[1]
-    sizes = np.bincount(piece)
-    names, least = ["body"] * len(sizes), np.full(len(sizes), len(numbers) + 1)
-    for name, members in sets.items():
-        inside = np.isin(numbers, members)
-        better = (np.bincount(piece[inside], minlength=len(sizes)) == sizes) & (np.count_nonzero(inside) < least)
-        least[better] = np.count_nonzero(inside)
-        for k in np.flatnonzero(better):
-            names[k] = name
-    return piece, names
 
 
 def _faces(solid: Blocks, members: np.ndarray, facet: int) -> Iterator[tuple[str, np.ndarray]]:
