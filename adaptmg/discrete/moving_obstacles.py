@@ -23,7 +23,7 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
           before: Mapping[int, Moving]) -> DiscreteProblem:
     """The problem with obstacles, by the number of their contact, in the places ``now``.
 
-    Slip counts from where they were ``before``, from their first place where it does not name them.
+    Slip counts from where they were ``before``.
     """
     if not now:
         return discrete
@@ -39,7 +39,7 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
         if stops is not None:
             stops = stops.moved(obstacle, boundary, mesh.points, outward, contact.nodes)
         normals[own], gaps[own] = along_free(held.free_part(contact.nodes[own], direct), direct, gap)
-        reference[own] += obstacle.motion(points) - (before[k].motion(points) if k in before else 0.0)
+        reference[own] += obstacle.motion(points) - before[k].motion(points)
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _ROUNDING
     new = replace(contact, normals=normals if turned else contact.normals, gaps=gaps, slip_reference=reference,
                   allow_interference=True)

@@ -63,7 +63,7 @@ class Controls:
     #: motions (3 in the plane, 6 in space) of obstacles, strains (1) of preloads, by name
     motions: dict[str, np.ndarray] = field(default_factory=dict)
     factors: dict[str, float] = field(default_factory=dict)  # of the step before
-    places: dict[int, Moving] = field(default_factory=dict)  # of all moving obstacles at the end of the step before
+    places: dict[int, Moving] = field(init=False)  # of all moving obstacles at the end of the step before
 
     def __post_init__(self) -> None:
         contacts, loads = ((), ()) if self.problem is None else (self.problem.contact, self.problem.loads)
@@ -74,6 +74,7 @@ class Controls:
             self.motions[obstacle.name] = np.zeros(3 * obstacle.dim - 3)
         for bolt in self.bolts:
             self.motions[bolt.path_name] = np.zeros(1)
+        self.places = self.placed({}, {})  # from there the discretisation counts slips
 
     def posed(self) -> list[list[float]]:
         """Prescribed motions and forces as numbers, for stores; -1e300 where nothing is prescribed."""
@@ -147,10 +148,6 @@ class Controls:
         """All moving obstacles in their places, by the number of their contact."""
         places = {k: placed(obstacle, factors, motions) for k, obstacle in self.obstacles.items()}
         return {k: place for k, place in places.items() if isinstance(place, Moving)}
-
-    def first_places(self) -> dict[int, Moving]:
-        """Where the discretisation has the obstacles."""
-        return self.placed({}, {})
 
     def missed(self, parts: Sequence[_Unknowns], result: Result) -> np.ndarray:
         """By how much the forces of a result miss what is prescribed (n,), relative to the sizes of forces."""

@@ -30,7 +30,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.load_path import LoadPath
+from adaptmg.problem.load_path import LoadPath, obstacles_in_path
 from adaptmg.solver.advice import advise_on_path, advise_on_problem, once
 from adaptmg.solver.controls import Controls
 from adaptmg.solver.examine import Examiner
@@ -229,7 +229,8 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a step;
         "discretisation" sets it once, in the first step. Multigrid with :class:`adaptmg.Truncated` is set up once.
     start : (n_nodes, dim) array or Result, optional
-        Displacement against which the first step slips, m. Default: the unloaded, undeformed bodies.
+        Displacement against which the first step slips, m. Default: the unloaded, undeformed bodies. None where
+        obstacles move or bolts are tightened, as a displacement does not say where and how far.
     store : path, optional
         A folder where every finished step is kept immediately. A path that was interrupted goes on there; a folder with
         steps of another problem, hierarchy, path or solver is refused. A user-defined solver is compared by its code
@@ -271,6 +272,10 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         checks.optional_callable("progress", progress, "the number of a step and a row of its history (or a bool)")
     pressures = pressures_argument(start, grids.finest.discrete)
     start = displacement_argument("start", start, grids.finest.discrete)
+    if start is not None and grids.problem is not None and (grids.problem.by_force
+                                                            or obstacles_in_path(grids.problem)):
+        raise ValueError("start must be None: where obstacles were and how tight bolts were before the first step is "
+                         "not in it; solve all steps as one path")
     loop = PathLoop(grids, path, solver, start, pressures)
     mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, start,
                                                 depends)
@@ -346,8 +351,6 @@ class PathLoop:
         self.examiner = Examiner(grids.finest.discrete)
         self.method = step_solver(solver)
         self.controls = Controls(grids.problem if _problem_with_names(grids) else None, grids.finest)
-        if start is None:  # the discretisation counts slips from where it has the obstacles
-            self.controls.places = self.controls.first_places()
         begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
         pressures = _no_pressures(grids.finest.discrete) if pressures is None else pressures
         self.past = past_of(grids, begin, start is not None)

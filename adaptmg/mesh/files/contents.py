@@ -109,8 +109,10 @@ def _cut(contents: Contents, unit: float, body: str | None) -> tuple[_Tables, np
     if body is not None:
         label, bodies = np.zeros_like(label), [body]
     empty = np.empty(0, dtype=np.int64)
-    return _Tables(unit * points[:, :dim], np.concatenate(elements), label, list(bodies), empty.reshape(-1, dim), empty,
-                   []), np.concatenate(cells), list(filter(None, (cut_note(kind, np.concatenate(parts)) for kind, parts in counts.items())))
+    notes = [cut_note(kind, np.concatenate(parts)) for kind, parts in counts.items()]
+    tables = _Tables(unit * points[:, :dim], np.concatenate(elements), label, list(bodies), empty.reshape(-1, dim),
+                     empty, [])
+    return tables, np.concatenate(cells), list(filter(None, notes))
 
 
 def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
