@@ -49,9 +49,9 @@ def _chosen(problem: ContactProblem, mesh: MeshArrays, pair: object) -> object:
     if 1 / ALIKE <= ratio <= ALIKE:
         slave, master = (mesh.surface(name).measures.mean() for name in (pair.slave, pair.master))
         ratio = slave / master / (1 + 1e-6)  # equal sizes do not change places
-    # a master of several pairs, or one that a support holds, cannot carry the contact nodes
-    elsewhere = [name for other in problem.contact if other is not pair
-                 for name in (other.boundary, getattr(other, "master", ""))]
+    # a master of several pairs, or one that a tie or a support holds, cannot carry the contact nodes
+    elsewhere = [*problem.tied_boundaries, *(name for other in problem.contact if other is not pair
+                                             for name in (other.boundary, getattr(other, "master", "")))]
     bound = pair.master in elsewhere or any(support.boundary == pair.master for support in problem.supports)
     if ratio > 1 and not bound:
         return replace(pair, slave=pair.master, master=pair.slave, sides="given")

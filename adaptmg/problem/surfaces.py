@@ -187,8 +187,8 @@ class ContactPair:
         Whether the slave is the boundary named so, or the softer of the two, of bodies whose moduli are within a factor
         of 2 the finer. "auto" is decided where a hierarchy or a discrete problem is made: ``hierarchy.problem``,
         ``result.contact`` (``names`` the slaves, ``masters``) and pictures speak of the slave that was taken. A master
-        of several pairs, or one that a support holds, stays the master. Cycles do not depend on the contrast of the
-        bodies with the softer one as slave, and are many with one 10 times stiffer than its master (a warning).
+        of several pairs, or one that a tie or support holds, stays the master. Cycles do not depend on the contrast of
+        the bodies with the softer one as slave, and are many with one 10 times stiffer than its master (a warning).
     coupling : {"mortar", "nodes"}
         Mortar integrals with dual multipliers; or node to node, for surfaces whose nodes match.
     allow_interference : bool

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
+from adaptmg.discrete.sides import with_sides
 
 
 def pair(contrast, slave="upper.bottom", master="lower.top", finer="lower", sides="auto", **others):
@@ -46,10 +47,13 @@ def test_another_contrast_on_the_same_meshes_exchanges_the_sides():
     np.testing.assert_array_equal(am.solve(again).displacement, am.solve(fresh).displacement)
 
 
-def test_a_master_that_a_support_holds_or_another_pair_needs_stays_master():
+@pytest.mark.parametrize("held", [{"supports": (am.Support("lower.bottom", x=0, y=0), am.Support("lower.top", x=0))},
+                                  {"ties": am.Tied("lower.top", "lower.bottom")}], ids=["support", "tie"])
+def test_a_master_that_a_support_or_tie_holds_stays_master(held):
     problem, sizes = pair(1e3)
-    held = replace(problem, supports=(*problem.supports, am.Support("lower.top", x=0.0)))
-    assert am.Hierarchy.graded(held, sizes[:1]).problem.contact_boundaries == ("upper.bottom",)
+    meshes = [level.mesh for level in am.Hierarchy.graded(problem, sizes[:1]).levels]
+    sided = with_sides(replace(problem, **held), meshes[0])
+    assert sided.contact_boundaries == ("upper.bottom",)
 
 
 def test_a_given_slave_much_stiffer_than_its_master_is_warned_of():
