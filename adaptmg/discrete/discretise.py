@@ -12,7 +12,8 @@ axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.di
 A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it faces is found,
 there. In front of obstacles, facets of the other boundary count in its mass by the part that faces the same way. In a
 pair it carries no multiplier of the pair named later: that pair's multipliers next to it take over its part, and it
-follows as a plain node.
+follows as a plain node. A tied node carries no contact; in front of obstacles the contact nodes that it follows take
+over its mass.
 
 Load steps have nodal loads and prescribed displacements by name, so that every step is a combination of them:
 
@@ -43,7 +44,15 @@ from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
-from adaptmg.discrete.obstacles import TANGENTIAL, Stops, free_normals, in_front_of, may_overlap, with_motions
+from adaptmg.discrete.obstacles import (
+    TANGENTIAL,
+    Stops,
+    free_normals,
+    in_front_of,
+    lumped_masses,
+    may_overlap,
+    with_motions,
+)
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.discrete.rigid_modes import nodes_of_pieces, rigid_motions
 from adaptmg.discrete.sides import with_sides
@@ -270,6 +279,12 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     surfaces = [mesh.surface(name) for name in problem.contact_boundaries]
     for k in reversed(range(len(surfaces))):
         owner[surfaces[k].nodes] = k
+    tied = np.zeros(mesh.n_nodes)  # boundary masses of tied nodes in front of obstacles
+    for k, contact in enumerate(problem.contact if ties else ()):
+        own = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
+        own = own[np.isin(own, np.concatenate([tie.nodes for tie in ties]))]
+        if not isinstance(contact, ContactPair):
+            tied[own] = lumped_masses(problem, surfaces, own, k, surfaces[k].node_normals[own])
     for tie in ties:
         owner[tie.nodes] = -1
     if held is None:
@@ -298,6 +313,9 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     nodes, boundary = nodes[order], boundary[order]
     normals, weights, gaps = (np.concatenate([getattr(part, name) for part in parts])[order]
                               for name in ("normals", "weights", "gaps"))
+    if tied.any():
+        alone = np.array([not isinstance(one, ContactPair) for one in problem.contact])[boundary]
+        weights[alone] += _passed_on(tied, ties, nodes[alone])
     if held.inclined is not None:
         rubbed = np.intersect1d(nodes, held.inclined.nodes[held.inclined.moving])
         if len(rubbed):
@@ -312,6 +330,18 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
                            allow_interference=any(map(may_overlap, problem.contact)),
                            names=problem.contact_boundaries, masters=problem.masters)
     return contact, _followed([*parts, *ties], mesh.n_nodes), Stops.together(stops)
+
+
+def _passed_on(masses: np.ndarray, ties: Sequence[MortarInterface], nodes: np.ndarray) -> np.ndarray:
+    """Of the masses (n_nodes,) of tied nodes what contact nodes (n,) take that these follow, over tied ones too."""
+    takes, result = np.zeros_like(masses), np.zeros_like(masses)
+    takes[np.concatenate([nodes, *(tie.nodes for tie in ties)])] = 1.0
+    rows = _followed(list(ties), len(masses)).maximum(0.0) @ sparse.diags_array(takes)
+    share = rows.T @ sparse.diags_array(1 / np.maximum(rows.sum(axis=1), np.finfo(float).tiny))
+    for _ in ties:
+        masses = share @ masses
+        result += masses
+    return result[nodes]
 
 
 def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | None:

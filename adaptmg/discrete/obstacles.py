@@ -88,12 +88,12 @@ def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, sur
     stops = [Stops(nodes[here], sign * normals[here], far[here], np.full(here.sum(), contact.boundary))
              for here, sign, far in cases]
     normals, gaps = along_free(free, normals, gaps)
-    weights = _lumped_masses(problem, surfaces, nodes[kept], k, averaged[kept])
+    weights = lumped_masses(problem, surfaces, nodes[kept], k, averaged[kept])
     return MortarInterface(nodes[kept], normals[kept], weights, gaps[kept]), stops
 
 
-def _lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
-                   ) -> np.ndarray:
+def lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
+                  ) -> np.ndarray:
     """Boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
     weights = np.zeros(len(nodes))
     for other, mine in enumerate(surfaces):

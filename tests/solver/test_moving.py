@@ -167,6 +167,26 @@ def test_a_stored_path_goes_on_with_its_motions(joint, tmp_path):
         np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-6 * np.abs(one.displacement).max())
 
 
+@pytest.mark.parametrize("law", [am.Coulomb(0.1), am.Tresca(4e5)], ids=["Coulomb", "Tresca"])
+def test_a_periodic_layer_under_a_sliding_wall_bears_uniform_stress(law):
+    """It sticks, then slides, and the node that follows its partner hands its share of the surface to it."""
+    turn, depth, slide = rotation(0.7), 1e-3, 2e-4
+    meshes = [structured(am.Rectangle(width=1, height=0.5), (4 * k, 2 * k)) for k in (1, 2)]
+    wall = am.Moving(am.Plane(turn @ (0, 0.5), turn @ (0, -1)), displacement=turn @ (0, -depth), name="press")
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=E, poisson=NU), law=law, ties=am.Periodic("left", "right"),
+        contact=am.Contact("top", am.Moving(wall, displacement=turn @ (slide, 0), name="slide")),
+        supports=am.Support("bottom", x=0, y=0))
+    grids = am.Hierarchy.from_meshes(problem, [replace(one, points=one.points @ turn.T, source=None) for one in meshes])
+    steps = am.solve_path(grids, am.LoadPath({"slide": [0, 1, 0.5, 100]}), am.Multigrid(rtol=1e-10))
+    pressure = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU)) * depth / 0.5
+    shear, bound = E / (2 * (1 + NU)) * slide / 0.5, 0.1 * pressure if isinstance(law, am.Coulomb) else 4e5
+    for step, expected in zip(steps, (0, shear, 0.5 * shear, bound), strict=True):
+        force = turn.T @ step.resultant("top").force
+        np.testing.assert_allclose(force, [expected, -pressure], atol=1e-7 * pressure)
+        np.testing.assert_allclose(step.contact.pressure, pressure, rtol=1e-6)
+
+
 @pytest.mark.parametrize("turn", [np.eye(2), rotation(0.7)], ids=["straight", "turned"])
 def test_a_punch_on_a_roller_may_be_tilted_by_any_angle(turn):
     """The roller holds a part of its normal, however small: forces depend on the angle without jumps."""
