@@ -276,17 +276,19 @@ def eliminate(system: LocalSystem, coordinates: np.ndarray | None, lenient: bool
     return Eliminated(factors, contact, 0.5 * (schur + schur.T), shift)
 
 
-#: dofs up to which the condensation of a coarsest problem is remembered
-REMEMBERED = 1500
+#: dofs up to which the condensation of a problem is remembered, by dimension
+REMEMBERED = {2: 10_000, 3: 3_000}
 
 
-def condense_coarsest(problem: DiscreteProblem) -> Condensed:
-    """Condense a coarsest problem, leniently; problems that share its matrix share the factors, where these are small.
-    """
-    if problem.n_dofs > REMEMBERED:
-        return condense(local_system(problem), lenient=True)
+def condense_problem(problem: DiscreteProblem, lenient: bool = False) -> Condensed:
+    """Condense a problem; those that share its matrix share the factors, where these are small."""
+    if problem.n_dofs > REMEMBERED[problem.dim]:
+        return condense(local_system(problem), lenient)
     system, parts = _eliminated(problem)
-    return Condensed(parts.factors, parts.contact, parts.matrix, parts.shift, local_system(problem, system))
+    result = Condensed(parts.factors, parts.contact, parts.matrix, parts.shift, local_system(problem, system))
+    if not (lenient or result.regular):
+        raise _Singular
+    return result
 
 
 @remembered_of_structure

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from adaptmg.discrete.coordinates import rotate
-from adaptmg.smoother.factorisation import Condensed, condense
+from adaptmg.smoother.factorisation import Condensed
 from adaptmg.smoother.interior_point import ContactDofs, Interior, Span
 from adaptmg.smoother.newton_rows import Linearised
 from adaptmg.smoother.system import LocalProblem
@@ -50,10 +50,8 @@ class CondensedSteps:
 
     SINGULAR = 1e-13  # reciprocal condition number below which the equations count as singular
 
-    def __init__(self, local: LocalProblem, run: Run, condensed: Condensed | None = None) -> None:
-        self.local, self.run = local, run
-        with run.phase("factorise"):
-            self.condensed = condense(local) if condensed is None else condensed
+    def __init__(self, condensed: Condensed, run: Run) -> None:
+        self.local, self.run, self.condensed = condensed.full, run, condensed
 
     @property
     def stiffness(self) -> np.ndarray:

@@ -29,7 +29,7 @@ from adaptmg._on_demand import remembered
 from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.smoother.factorisation import REMEMBERED, condense_coarsest
+from adaptmg.smoother.factorisation import condense_problem
 from adaptmg.solver.advice import advise
 from adaptmg.solver.examine import Examiner
 
@@ -320,15 +320,15 @@ def _vector(values: np.ndarray, size: float) -> str:
     return "(" + ", ".join(f"{0.0 if abs(v) < 1e-6 * size else v:.4g}" for v in values) + ")"
 
 
-#: contact dofs up to which the estimate costs next to nothing
-_SMALL_CONTACT = 200
+#: dofs, and those at contact nodes, up to which the estimate costs next to nothing
+_SMALL, _SMALL_CONTACT = 1500, 200
 
 
 @remembered_of_structure
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     """The critical coefficient of each contact node if it touches alone."""
     dim, n = problem.dim, len(problem.contact)
-    condensed = condense_coarsest(problem)
+    condensed = condense_problem(problem, lenient=True)
     values, vectors = np.linalg.eigh(condensed.matrix)
     if not condensed.regular or not values[0] > 1e-10 * values[-1]:
         return np.full(n, np.nan)
@@ -347,7 +347,7 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
 def warn_of_several_solutions(grids: Hierarchy) -> None:
     """Warn where the friction of a node exceeds the estimate on the coarsest grid, if that is cheap."""
     problem = grids[0].discrete_or_none
-    if problem is None or problem.n_dofs > REMEMBERED or len(problem.contact) * problem.dim > _SMALL_CONTACT:
+    if problem is None or problem.n_dofs > _SMALL or len(problem.contact) * problem.dim > _SMALL_CONTACT:
         return
     friction = problem.law.bounds(len(problem.contact))[1]
     if not friction.any():

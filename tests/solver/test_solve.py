@@ -10,7 +10,7 @@ import pytest
 from made import result_on
 
 import adaptmg as am
-from adaptmg.smoother.factorisation import condense_coarsest
+from adaptmg.smoother.factorisation import condense_problem
 from adaptmg.solver.aggregates import aggregates_of
 from adaptmg.solver.iterate import State, StopTest, iterate
 from adaptmg.solver.record import Run
@@ -240,7 +240,7 @@ def test_other_laws_and_loads_share_factors_and_aggregates(case):
     alone = am.Hierarchy.uniform(other, (2, 4))[0].discrete
     assert aggregates_of(first) is aggregates_of(shared) is not aggregates_of(alone)
     assert critical_friction(first) is critical_friction(shared)
-    ours, theirs, fresh = (condense_coarsest(problem) for problem in (first, shared, alone))
+    ours, theirs, fresh = (condense_problem(problem) for problem in (first, shared, alone))
     assert ours.factors is theirs.factors is not fresh.factors
     assert theirs.full.discrete is shared and not np.array_equal(ours.full.load, theirs.full.load)
     for part in ("full.load", "full.contact.friction", "full.system.data", "matrix", "problem.load"):
@@ -254,7 +254,7 @@ def test_nothing_outlives_its_problem():
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4))
     am.solve(grids)
     gone = [weakref.ref(level.discrete) for level in grids.levels] + [
-        weakref.ref(aggregates_of(grids.finest.discrete)), weakref.ref(condense_coarsest(grids[0].discrete).factors)]
+        weakref.ref(aggregates_of(grids.finest.discrete)), weakref.ref(condense_problem(grids[0].discrete).factors)]
     del grids
     gc.collect()
     assert [one() for one in gone] == [None] * 4
