@@ -44,6 +44,9 @@ class StepState:
 class TruncatedStep:
     """Steps on level ``number`` of the levels of a linear cycle, with contact."""
 
+    #: with pressures: statuses whose change leaves a recombination with uniform ones; changes in a row after which that
+    #: with past iterates stays, too (a node that turns each time would end all recombination)
+    FEW, TURNS = 2, 5
     #: of the interval in the search for the least energy; the least part of a correction that is shortened
     HALVINGS, LEAST = 30, 1e-3
 
@@ -59,6 +62,7 @@ class TruncatedStep:
                                      [level.prolongation for level in levels[1:]], contact)
         self.motions, self.depth = motions, depth
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
+        self._turns, self._uniform = 0, list[tuple[np.ndarray, np.ndarray]]()
         self._frozen: bool | None = None  # whether friction is frozen in the coarse matrices; None: they are to be made
         self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
 
@@ -101,14 +105,17 @@ class TruncatedStep:
                 self.pressures.hesitate()
         residual = float(np.sqrt(elsewhere + natural))
         frozen = safe or residual > trusted
+        self._turns = self._turns + 1 if changed else 0
         if changed or frozen != self._frozen:
             self.contact.linearise_friction()
             self.truncation.apply(newton=not frozen)
             self.cycle.renew(self.number)
-            self._past.clear()
+            if self.pressures is None or changed > self.FEW or frozen != self._frozen or self._turns < self.TURNS:
+                self._past.clear()
             self._frozen = frozen
-            if self.pressures is not None:
-                self._uniform = [self._of_uniform(whole, one) for one in self.pressures.uniform()]
+            self._uniform = []
+        if self.pressures is not None and not self._uniform and changed <= self.FEW:
+            self._uniform = [self._of_uniform(whole, one) for one in self.pressures.uniform()]
         return StepState(changed, residual, float(np.sqrt(reactions)), energy)
 
     def correct(self, shorten: bool = False) -> float:
@@ -217,7 +224,7 @@ class TruncatedStep:
         affine in u (3D: nearly). With recombined iterates alone, few are as good as all of them where the problem is
         symmetric; the others keep what Coulomb's law needs."""
         unknowns, load = iterate
-        uniform = [] if self.pressures is None else self._uniform
+        uniform = self._uniform
         if self._past or uniform:
             dim, n = self.coarse.dim, len(self._past)
             d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)

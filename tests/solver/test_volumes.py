@@ -219,7 +219,7 @@ def test_the_mean_pressure_of_an_enclosed_body_costs_no_cycles(poisson, solver):
         supports=(am.Support("left", x=0.0), am.Support("top", x=0.0, y=-0.01)),
         contact=(am.Contact("bottom", am.Plane((0, 0), (0, 1))), am.Contact("right", am.Plane((1, 0), (-1, 0)))))
     result = am.solve(am.Hierarchy.uniform(problem, (4, 8, 16, 32)), solver)
-    assert not result.fallback and result.cycles <= (20 if isinstance(solver, am.Multigrid) else 60)
+    assert not result.fallback and result.cycles <= (25 if isinstance(solver, am.Multigrid) else 60)
 
 
 @pytest.mark.parametrize("posed", [(0.4999, am.PlaneStrain, am.Coulomb(0.3), True), (0.5, am.Solid)], ids=str)
