@@ -63,7 +63,7 @@ def advise(kind: str, text: str, category: type[Warning] = UserWarning) -> None:
 
 
 def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -> None:
-    """Warn of elements that lock, and of lengths that are not in m."""
+    """Warn of slaves on the wrong side, of elements that lock, and of lengths that are not in m."""
     if problem is None or mesh is None:
         return
     materials = body_materials(mesh, problem.material)
@@ -73,6 +73,14 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
                    "than the master, which takes multigrid two to five times as many cycles as with "
                    f"{pair.master!r} for the slave, or ends in the active set method: exchange them, or give the pair "
                    "sides=\"auto\"")
+    rigid = [one.boundary for one in problem.contact if isinstance(one, Contact)] if problem.ties else []
+    for tie in problem.ties:
+        met, others = ([name for name in rigid if np.isin(mesh.boundary_nodes(name), mesh.boundary_nodes(side)).any()]
+                       for side in (tie.slave, tie.master))
+        if met and not others:
+            advise("tie", f"contact {met[0]!r} meets the tied boundary {tie.slave!r}: nodes on both follow "
+                   f"{tie.master!r} and carry no contact, so that they may go through the obstacle: exchange slave "
+                   "and master of the tie")
     for name, one in zip(mesh.bodies, materials, strict=True):
         if problem.elements == "linear" and one.poisson > LOCKING and not isinstance(one, PlaneStress):
             advise("poisson", f"material of body {name!r}: poisson is {one.poisson:g}, and above {LOCKING:g} linear "

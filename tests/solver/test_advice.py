@@ -32,6 +32,18 @@ def warned(act):
     return caught
 
 
+def test_a_tied_slave_in_front_of_an_obstacle_is_warned_of():
+    parts = {"a": am.Rectangle(width=1, height=1, origin=(0, 1)), "b": am.Rectangle(width=1, height=1)}
+    for tie, loud in ((am.Tied("a.bottom", "b.top"), True), (am.Tied("b.top", "a.bottom"), False)):
+        problem = am.ContactProblem(
+            domain=am.Assembly(parts=parts), material=am.PlaneStrain(young=1e9, poisson=0.3), law=am.Frictionless(),
+            ties=tie, contact=am.Contact("a.right", am.Plane((1, 1), (-1, 0))), loads=am.Traction("a.left", (1e6, 0)),
+            supports=am.Support("b.bottom", x=0, y=0))
+        grids = am.Hierarchy.uniform(problem, [{"a": 4, "b": 5}])
+        texts = [str(one.message) for one in warned(lambda grids=grids: am.solve(grids))]
+        assert ["exchange slave and master of the tie" in text for text in texts] == [True] * loud
+
+
 BEYOND = {
     "poisson is 0.46": ({"poisson": 0.46}, {"poisson": 0.45}, {"poisson": 0.46, "material": am.PlaneStress}),
     "span 40 m, with young .*1.3e\\+11 Pa.*in mm\\?": ({"scale": 1e3}, {"scale": 100},
