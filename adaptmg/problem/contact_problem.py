@@ -304,6 +304,6 @@ def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int, axisymm
             raise ValueError(f"the {type(c.obstacle).__name__} in front of {c.boundary!r} is {c.obstacle.dim}D, the "
                              f"material {dim}D")
         for one in moving_parts(c.obstacle) if axisymmetric and isinstance(c, Contact) else ():
-            if not one.along_axis:
+            if one.free != (1,) if isinstance(one, Rigid) else one.displacement[0] or one.rotation.any():
                 raise ValueError(f"the obstacle {one.name!r} in front of {c.boundary!r} must move along the axis only, "
                                  "or be pressed along it: an axisymmetric body has no other rigid motion")

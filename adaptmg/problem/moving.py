@@ -100,11 +100,6 @@ class Moving:
         """Space dimension."""
         return self.displacement.size
 
-    @property
-    def along_axis(self) -> bool:
-        """Whether it moves along y alone."""
-        return not (self.displacement[0] or self.rotation.any())
-
     def scaled(self, factor: float) -> Moving:
         """The same with ``factor`` times the motion."""
         return replace(self, displacement=factor * self.displacement, rotation=factor * self.rotation)
@@ -217,11 +212,6 @@ class Rigid:
     def free(self) -> tuple[int, ...]:
         """The numbers of the components of force and moment that are prescribed."""
         return tuple(np.flatnonzero(~np.isnan(self.targets)).tolist())
-
-    @property
-    def along_axis(self) -> bool:
-        """Whether it is free to move along y alone."""
-        return self.free == (1,)
 
     def scaled(self, factor: float) -> Rigid:
         """The same with ``factor`` times force and moment."""
