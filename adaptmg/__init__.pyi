@@ -41,7 +41,7 @@ from .smoother.gauss_seidel import ProjectedGaussSeidel as ProjectedGaussSeidel
 from .smoother.system import OPEN as OPEN, SLIP as SLIP, STICK as STICK
 from .solver.active_set import ActiveSet as ActiveSet
 from .solver.certificate import Certificate as Certificate
-from .solver.linear import AMG as AMG, Direct as Direct
+from .smoother.linear import AMG as AMG, Direct as Direct
 from .solver.load_path import PathResult as PathResult, solve_path as solve_path
 from .solver.multigrid import FullMultigrid as FullMultigrid, Multigrid as Multigrid
 from .solver.projected import SingleGrid as SingleGrid

@@ -16,14 +16,14 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.augmented import Augmented
 from adaptmg.smoother.factorisation import Condensed, condense, condense_problem
 from adaptmg.smoother.interior_point import interior_point
+from adaptmg.smoother.linear import Direct, LinearSolver
 from adaptmg.smoother.newton_rows import Linearised, hold_all, linearise
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver.augmented import Augmented
 from adaptmg.solver.iterate import Measure, State, StopTest, iterate
-from adaptmg.solver.linear import Direct, LinearSolver
 from adaptmg.solver.newton_steps import CondensedSteps, LinearSteps, SparseSteps
 from adaptmg.solver.record import Outcome, Run, Status
 
@@ -61,7 +61,7 @@ class ActiveSet:
     it, or from a given start, or leaves a motion free, they begin again from an interior point, with a smaller
     tolerance each time. Steps of both kinds count. Problems of up to 10 000 dofs (in 3D 3000) remember their factors,
     and share them with those that differ in load, gaps or friction alone. Smoothed elements with Poisson's ratios above
-    .499 take several solves with the same factors (:mod:`adaptmg.solver.augmented`); above .4 the matrix has 2 to 3
+    .499 take several solves with the same factors (:mod:`adaptmg.multigrid.augmented`); above .4 the matrix has 2 to 3
     times the entries.
 
     Examples

@@ -15,9 +15,9 @@ from scipy import linalg, sparse
 from adaptmg.discrete.coordinates import rotate
 from adaptmg.smoother.factorisation import Condensed
 from adaptmg.smoother.interior_point import ContactDofs, Interior, Span
+from adaptmg.smoother.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
 from adaptmg.smoother.newton_rows import Linearised
 from adaptmg.smoother.system import LocalProblem
-from adaptmg.solver.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
 from adaptmg.solver.record import Run
 from adaptmg.transfer.galerkin import without_fixed
 

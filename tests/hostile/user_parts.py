@@ -8,7 +8,7 @@ from hostile_table import each
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.solver.linear import LinearSolution
+from adaptmg.smoother.linear import LinearSolution
 from adaptmg.solver.record import Outcome
 
 
