@@ -84,10 +84,10 @@ def held_directions(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[st
         found.setdefault(one.support.boundary, []).append(one.direction)
     result = {}
     for name, directions in found.items():
-        # axes stay as they are, to the bit
-        _, sizes, rows = np.linalg.svd(np.unique(directions, axis=0), full_matrices=False)
-        axes = (np.abs(directions).max(axis=1) == 1.0).all()
-        result[name] = np.unique(directions, axis=0) if axes else rows[sizes > _PARALLEL]
+        result[name] = np.unique(directions, axis=0)
+        if (np.abs(directions).max(axis=1) < 1.0).any():  # axes stay as they are, to the bit
+            _, sizes, rows = np.linalg.svd(result[name], full_matrices=False)
+            result[name] = rows[sizes > _PARALLEL]
     return result
 
 

@@ -86,7 +86,7 @@ def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedC
     dim, nodes = discrete.dim, discrete.contact.nodes
     unknowns = discrete.relative(result.displacement).reshape(-1)
     residual = discrete.matrix @ unknowns - discrete.load
-    held = held_tangents(discrete, frames)
+    held = held_tangents(discrete)
     moved = to_frames(frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference)
     slip, gap = moved[:, 1:], nodal.gap - np.einsum(
         "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes])

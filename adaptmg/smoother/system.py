@@ -19,7 +19,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.discrete.coordinates import frames_of, rotate, rotate_back, to_frames
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.transfer.galerkin import without_fixed
 
 
@@ -133,34 +133,33 @@ class LocalProblem:
 def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) -> LocalProblem:
     """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs. ``system``: that of a problem which
     shares matrix, fixed dofs and contact nodes with it."""
-    dim, contact = problem.dim, problem.contact
-    frames = frames_of(contact, problem.fixed.reshape(-1, dim))
-    fixed = _local_fixed(problem, frames) if system is None else system.fixed
-    load = rotate(problem.load_from_prescribed(), frames, contact.nodes)
+    nodes, (frames, fixed) = problem.contact.nodes, frames_and_fixed(problem)
+    load = rotate(problem.load_from_prescribed(), frames, nodes)
     load[fixed] = 0.0
     nodal = _nodal_contact(problem, frames, fixed)
     if system is None:
-        matrix = without_fixed(_rotated(problem.matrix, frames, contact.nodes), fixed, copy=False)
-        system = LocalSystem.from_matrix(matrix, fixed, contact.nodes)
+        matrix = without_fixed(_rotated(problem.matrix, frames, nodes), fixed, copy=False)
+        system = LocalSystem.from_matrix(matrix, fixed, nodes)
         turn_held(system.diagonal, system.nodes, nodal)
     return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
 
 
 def local_contact(problem: DiscreteProblem) -> tuple[NodalContact, np.ndarray]:
     """The contact data of a problem in local components, and the frames (n_contact, dim, dim): no matrix is touched."""
-    frames = frames_of(problem.contact, problem.fixed.reshape(-1, problem.dim))
-    return _nodal_contact(problem, frames, _local_fixed(problem, frames)), frames
+    frames, fixed = frames_and_fixed(problem)
+    return _nodal_contact(problem, frames, fixed), frames
 
 
-def held_tangents(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
+def held_tangents(problem: DiscreteProblem) -> np.ndarray:
     """Tangents at contact nodes that a support holds (n_contact, dim - 1) bool."""
-    return _local_fixed(problem, frames).reshape(-1, problem.dim)[problem.contact.nodes, 1:]
+    return frames_and_fixed(problem)[1].reshape(-1, problem.dim)[problem.contact.nodes, 1:]
 
 
-def contact_blocks(problem: DiscreteProblem, contact: NodalContact, frames: np.ndarray) -> np.ndarray:
+@remembered_of_structure
+def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     """Diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as :func:`local_system` has them.
     Without rotating the matrix: only these blocks are read."""
-    matrix, nodes = problem.matrix, problem.contact.nodes
+    matrix, nodes, (contact, frames) = problem.matrix, problem.contact.nodes, local_contact(problem)
     counts = np.diff(matrix.indptr)[nodes]
     at = np.repeat(matrix.indptr[nodes] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
     blocks = np.zeros((len(nodes), problem.dim, problem.dim))
@@ -168,7 +167,7 @@ def contact_blocks(problem: DiscreteProblem, contact: NodalContact, frames: np.n
     blocks[np.repeat(np.arange(len(nodes)), counts)[own]] = matrix.data[at[own]]
     blocks = np.einsum("nij,njk,nlk->nil", frames, blocks, frames)
     free = np.ones((len(nodes), problem.dim))
-    free[:, 1:] = ~held_tangents(problem, frames)
+    free[:, 1:] = ~held_tangents(problem)
     mask = free[:, :, None] * free[:, None, :] + np.einsum("ni,ij->nij", 1 - free, np.eye(problem.dim))
     blocks *= mask
     turn_held(blocks, np.arange(len(nodes)), contact)
@@ -201,10 +200,13 @@ def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) ->
         blocks[at, 1, 1] = -np.abs(blocks[at, 1, 1])
 
 
-def _local_fixed(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
-    """Fixed dofs in local components: at contact nodes a tangent that is a fixed Cartesian axis."""
+@remembered_of_structure
+def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Frames (n_contact, dim, dim), and fixed dofs (n_dofs,) in local components: at contact nodes a tangent that is a
+    fixed Cartesian axis."""
     dim = problem.dim
     fixed = problem.fixed.reshape(-1, dim).copy()
+    frames = frames_of(problem.contact, fixed)
     at_contact = fixed[problem.contact.nodes]
     # tangent j is fixed if all of it lies in fixed Cartesian components
     share = np.einsum("nij,nj->ni", frames**2, at_contact.astype(float))
@@ -214,7 +216,7 @@ def _local_fixed(problem: DiscreteProblem, frames: np.ndarray) -> np.ndarray:
         raise ValueError(f"fixed: the fixed components at contact node {i} (node {problem.contact.nodes[i]}) are not "
                          "tangential; take the node out of the contact boundary or free the component")
     fixed[problem.contact.nodes] = local
-    return fixed.reshape(-1)
+    return frames, fixed.reshape(-1)
 
 
 def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) -> sparse.bsr_array:

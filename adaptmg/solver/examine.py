@@ -13,7 +13,6 @@ the loads, the contact forces, and where displacements are prescribed the reacti
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,20 +46,9 @@ class Examiner:
     def __init__(self, discrete: DiscreteProblem) -> None:
         self.discrete = discrete
         self.contact, self.frames = local_contact(discrete)
-        self.held = held_tangents(discrete, self.frames)
-        self.blocks = contact_blocks(discrete, self.contact, self.frames)
+        self.held, self.blocks = held_tangents(discrete), contact_blocks(discrete)
         self.sizes = Sizes(discrete)
         self._last: tuple[np.ndarray, np.ndarray | None, Examined] | None = None
-
-    def at_step(self, discrete: DiscreteProblem) -> Examiner:
-        """The examiner of the same bodies under other data (a load step)."""
-        if not discrete.alike(self.discrete):
-            return Examiner(discrete)
-        result = copy.copy(self)
-        result.discrete, result._last = discrete, None
-        result.contact, _ = local_contact(discrete)
-        result.sizes = Sizes(discrete)
-        return result
 
     def relative_residual(self, solved: np.ndarray, pressures: np.ndarray | None = None) -> float:
         """Natural residual of a displacement (n_dofs,), relative coordinates, over the forces that act. The largest of
@@ -154,7 +142,7 @@ def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.nd
     x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[posed.nodes]
     carried = from_frames(frames, np.column_stack([-force_n, force_t]))
     boundary, node, on_masters = _on_followed(discrete, posed.boundary, weights, carried)
-    return ContactResult(node=posed.nodes, x=x, frames=frames, gap=gap, u_n=u[:, 0], u_t=u[:, 1:], slip=slip,
+    return ContactResult(node=posed.nodes, x=x, frames=frames.copy(), gap=gap, u_n=u[:, 0], u_t=u[:, 1:], slip=slip,
                          force_n=force_n, force_t=force_t, weights=posed.weights, limit=limit, state=state,
                          boundary=posed.boundary, names=posed.names, masters=posed.masters, master_node=node,
                          master_force=on_masters, master_boundary=boundary)

@@ -397,7 +397,7 @@ class PathLoop:
             if not self.controls.rigid:  # these move until their forces fit, and may go too far on the way
                 grids.finest.discrete.check_stops(self._factors_at(k))
             forces = grids.finest.discrete.load_from_prescribed()
-            run.examiner = self.examiner = self.examiner.at_step(grids.finest.discrete)
+            run.examiner = self.examiner = Examiner(grids.finest.discrete)
             past = self._with_extrapolated(forces, near)
         with run.phase("statics"):
             try:
