@@ -133,11 +133,6 @@ class AMG:
     ``pyamg.smoothed_aggregation_solver``. Within one active set solve the hierarchy is kept while at most 8 dofs have
     been eliminated or released since it was built: less set-up, more iterations.
 
-    Parameters
-    ----------
-    max_iterations : int
-        Krylov iterations at most.
-
     Notes
     -----
     P. Vanek, J. Mandel, M. Brezina, Computing 56, 1996, doi:10.1007/BF02238511; N. Bell, L. Olson, J. Schroder,
@@ -150,15 +145,12 @@ class AMG:
     'CONVERGED'
     """
 
-    max_iterations: int = 500
-
+    #: Krylov iterations at most
+    MAX_ITERATIONS = 500
     #: dofs by which the eliminated ones may differ from those of a hierarchy that is kept
     LAG = 8
     #: iterations between restarts of GMRES: on slender bodies with slip it stagnates with 50
     RESTART = 200
-
-    def __post_init__(self) -> None:
-        checks.integer("max_iterations", self.max_iterations, 1)
 
     def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
               preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Preconditioned:
@@ -219,7 +211,7 @@ class Preconditioned:
         size = _energy(rhs, precondition(rhs))
         while True:
             norms: list[float] = []
-            left = self.options.max_iterations - iterations
+            left = self.options.MAX_ITERATIONS - iterations
             if self.symmetric:
                 unknowns, _ = krylov.cg(operator, rhs, x0=unknowns, tol=tol, maxiter=left, M=inverse,
                                               residuals=norms)
@@ -231,7 +223,7 @@ class Preconditioned:
             residual = rhs - product(unknowns)
             error = _energy(residual, precondition(residual))
             # a residual hides what is smooth: on a slender body nearly all of the error
-            if not error > rtol * size or not len(norms) > 1 or iterations >= self.options.max_iterations:
+            if not error > rtol * size or not len(norms) > 1 or iterations >= self.options.MAX_ITERATIONS:
                 break
             tol *= max(0.5 * rtol * size / error, 1e-2)
         relative = _relative(residual, rhs)

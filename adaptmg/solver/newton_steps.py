@@ -177,8 +177,8 @@ class SparseSteps:
         solution = solution_of(self.linear, prepared, rhs, rtol)
         self.run.count(solution.passes, self.local.system.nonzeros)
         if not solution.converged and not isinstance(self.linear, Direct):
-            _LOG.warning("%r stopped after %d iterations at a relative residual of %.1e, not %.0e: raise "
-                         "max_iterations, or take Direct()", self.linear, solution.iterations, solution.residual, rtol)
+            _LOG.warning("%r stopped after %d iterations at a relative residual of %.1e, not %.0e: take "
+                         "Direct()", self.linear, solution.iterations, solution.residual, rtol)
         return solution
 
     def _prepare(self, equations: Linearised, matrix: sparse.bsr_array, released: np.ndarray) -> None:

@@ -219,20 +219,18 @@ _LOG = logging.getLogger(__name__)
 class Truncated:
     """Truncated nonsmooth Newton multigrid: the fast method.
 
+    One symmetric sweep on the finest level, and after the first cycle one on the next coarser level, after its
+    correction alone; on the others one before and after the correction where the matrix has more than 1.25 times the
+    entries a row of the finest one (Galerkin products of independent meshes), else two. Where bodies touch each other,
+    two sweeps over the nodes within two elements of the interface follow each smoothing of the finest level, backward
+    and forward: where a joint is soft they bring the rate from .6 or .7 to .4, for a few per cent of a cycle on large
+    meshes and a tenth on small graded ones.
+
     Parameters
     ----------
     recombine : int
         Past iterates recombined with the present one, 0 to 4, in turns recombined ones and those that they were made
         from.
-    coarse_sweeps : int, optional
-        Smoothing before and after the coarse correction on the coarser levels, 1 or 2; there is one symmetric sweep on
-        the finest, and after the first cycle one on the next coarser level, after its correction alone. Default: 1 on
-        levels whose matrix has more than 1.25 times the entries a row of the finest one (Galerkin products of
-        independent meshes), 2 on the others.
-    interface_sweeps : int
-        Where bodies touch each other: sweeps over the nodes within two elements of the interface after each smoothing
-        of the finest level, backward and forward in turn. Where a joint is soft they bring the rate from .6 or .7 to
-        .4 (``studies/dovetail.py``), for a few per cent of a cycle on large meshes and a tenth on small graded ones.
     coarse_solve : LinearSolve, optional
         A user-defined solver of the coarsest linear problems, anything with ``setup(matrix) -> object with solve(rhs)``
         (:class:`~adaptmg.multigrid.linear_cycle.LinearSolve`). Default: LU factors.
@@ -250,19 +248,16 @@ class Truncated:
 
     #: how much denser than the finest matrix a coarse one is that is smoothed once only
     DENSE: ClassVar[float] = 1.25
+    #: sweeps near the interface of bodies
+    INTERFACE_SWEEPS: ClassVar[int] = 2
 
     recombine: int = 4
-    coarse_sweeps: int | None = None
-    interface_sweeps: int = 2
     coarse_solve: LinearSolve | None = None
     coarse_smoother: LinearSmoother | None = None
 
     def __post_init__(self) -> None:
         if checks.integer("recombine", self.recombine) > 4:
             raise ValueError(f"recombine must be 0 to 4, got {self.recombine!r}")
-        if self.coarse_sweeps is not None and checks.integer("coarse_sweeps", self.coarse_sweeps, 1) > 2:
-            raise ValueError(f"coarse_sweeps must be 1 or 2, got {self.coarse_sweeps!r}")
-        checks.integer("interface_sweeps", self.interface_sweeps)
         if self.coarse_solve is not None:
             checks.offers("coarse_solve", self.coarse_solve, "setup",
                           "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution")
@@ -272,8 +267,6 @@ class Truncated:
 
     def sweeps(self, levels: Sequence[SplitMatrix]) -> list[int]:
         """Sweeps on each of the levels, coarsest first."""
-        if self.coarse_sweeps is not None:
-            return [self.coarse_sweeps] * len(levels)
         rows = [level.nonzeros / level.n_nodes for level in levels]
         return [1 if row > self.DENSE * rows[-1] else 2 for row in rows]
 
@@ -361,13 +354,13 @@ class TruncatedRun:
             contact, load = TruncatedContact.of(problem, levels[number]), problem.load_from_prescribed()
             contact.start(unknowns)
             interface = None
-            if problem.coupling is not None and parts.interface_sweeps:
+            if problem.coupling is not None and parts.INTERFACE_SWEEPS:
                 interface = Interface(levels[number], problem.coupling, problem.fixed)
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()
             pressures = None if problem.volumes is None else VolumePressures(problem, self.pressures)
             step = TruncatedStep(self.cycle, number, contact, load, unknowns, parts.recombine,
-                                 RigidMotions.of(problem, contact, load), interface, parts.interface_sweeps, pressures)
+                                 RigidMotions.of(problem, contact, load), interface, parts.INTERFACE_SWEEPS, pressures)
             if number == len(levels) - 1 and self.cycle.coarse_smoother is None:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:-1]:

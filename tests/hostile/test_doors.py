@@ -52,7 +52,7 @@ def adapted(**given):
 
 #: a door and arguments that it takes
 DOORS = {
-    am.AMG: {"max_iterations": 5}, am.ActiveSet: {"linear": am.Direct(), "rtol": 0.1, "max_steps": 2,
+    am.ActiveSet: {"linear": am.Direct(), "rtol": 0.1, "max_steps": 2,
                                                   "nested_start": False, "condensed": True},
     am.Assembly: {"parts": {"a": UNIT}}, am.Axisymmetric: ELASTIC, am.PlaneStrain: ELASTIC, am.PlaneStress: ELASTIC,
     am.Solid: ELASTIC, am.Ball: {"centre": (0.0, 0.0, 0.0), "radius": 1.0}, am.Bisect: {"passes": 2},
@@ -103,7 +103,7 @@ DOORS = {
     am.Support: {"boundary": "a", "x": 1.0}, am.Symmetry: {"boundary": "a"},
     am.Tied: {"slave": "a", "master": "b", "reach": 1.0}, am.Periodic: {"master": "a", "slave": "b", "jump": (1, 1)},
     am.Traction: {"boundary": "a", "components": (0.0, 1.0)},
-    am.Truncated: {"recombine": 2, "coarse_sweeps": 2, "interface_sweeps": 2, "coarse_solve": am.Direct(),
+    am.Truncated: {"recombine": 2, "coarse_solve": am.Direct(),
                    "coarse_smoother": am.ProjectedGaussSeidel()},
     am.solve: {"grids": grids, "solver": am.Multigrid(), "throw": True,
                "callback": len},
