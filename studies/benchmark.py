@@ -73,8 +73,9 @@ def meshing(case: str, levels: int) -> dict:
 
 
 def small(divisions: int) -> dict:
-    """Milliseconds of solves in a friction sweep on the same meshes, hierarchy counted; the active set over ours, and
-    over a plain script that gets the matrix and checks nothing (:mod:`plain_newton`)."""
+    """Milliseconds of solves in a friction sweep on the same meshes, hierarchy counted; the active set, which has
+    factorised before, over ours, and over a plain script that gets the matrix, factorises and checks nothing
+    (:mod:`plain_newton`)."""
     warm_up()
     grids, frictions = bar(divisions), np.linspace(0.1, 1.0, 10)
 

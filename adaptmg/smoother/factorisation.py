@@ -230,6 +230,11 @@ class Condensed(Eliminated):
         return bool(np.linalg.eigvalsh(blocks).min(initial=1.0) > _PIVOT)
 
     @cached_property
+    def reduced(self) -> tuple[np.ndarray, np.ndarray]:
+        """The load, reduced."""
+        return self.reduce(self.full.load)
+
+    @cached_property
     def problem(self) -> LocalProblem:
         """The condensed problem."""
         full, n, dim = self.full, len(self.full.system.nodes), self.full.system.dim
@@ -237,7 +242,7 @@ class Condensed(Eliminated):
         dense = LocalSystem.from_matrix(sparse.bsr_array(_blocks(self.matrix, dim), shape=self.matrix.shape), fixed,
                                         np.arange(n))
         turn_held(dense.diagonal, dense.nodes, full.contact)
-        return replace(full, system=dense, load=np.where(fixed, 0.0, self.reduce(full.load)[1]))
+        return replace(full, system=dense, load=np.where(fixed, 0.0, self.reduced[1]))
 
     def restrict(self, unknowns: np.ndarray) -> np.ndarray:
         """The entries (n_contact * dim,) at contact nodes of a vector over all dofs."""
@@ -245,7 +250,7 @@ class Condensed(Eliminated):
 
     def recover(self, unknowns: np.ndarray) -> np.ndarray:
         """All unknowns from those at the contact nodes, local components."""
-        result = self.complete(self.reduce(self.full.load)[0], unknowns)
+        result = self.complete(self.reduced[0], unknowns)
         rest = self.full.load - self.full.system.matrix @ result
         return result + self.complete(self.reduce(rest)[0], np.zeros_like(unknowns))
 
@@ -330,8 +335,8 @@ def _eliminate(matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray)
     inverse = np.empty_like(order)
     inverse[order] = np.arange(len(order))
     at = place[inverse[contact]]
-    lower = lu.L.tocsr()[at][:, at].toarray()
-    return factors, lower @ upper.tocsc()[:, at].tocsr()[at].toarray()
+    lower, upper = (part[:, at].tocsr()[at].toarray() for part in (lu.L, upper))
+    return factors, lower @ upper
 
 
 def _eliminate_dense(system: LocalSystem, contact: np.ndarray, shift: np.ndarray, lenient: bool

@@ -100,9 +100,9 @@ class _Method:
         self.rest = self.load - product - self.span.restricted(forces)
         self.total, apart, width = _measure(self.state, *self.nodes)
         energy = max(float(self.unknowns @ product), self.least)
-        size = max(np.abs(self.load).max(initial=0.0), np.abs(product).max(initial=0.0))
+        size = max(_largest(self.load), _largest(product))
         slack = max(self.total / energy if energy > 0 else np.inf, apart / max(self.width, width),
-                    np.abs(self.rest).max(initial=0.0) / size if size > 0 else 0.0)
+                    _largest(self.rest) / size if size > 0 else 0.0)
         return Interior(self.state[:, :self.dim].copy(), forces, self.unknowns, slack, 0)
 
     def advance(self) -> bool:
@@ -160,11 +160,10 @@ class ContactDofs:
         self.free, self.shape = np.flatnonzero(free.reshape(-1)), free.shape
         self.matrix = np.ascontiguousarray(matrix[np.ix_(self.free, self.free)])
         n, dim = free.shape
-        place = np.full(n * dim, -1)
-        place[self.free] = np.arange(len(self.free))
-        row, column = (np.broadcast_to(x, (n, dim, dim)) for x in (place.reshape(n, dim, 1), place.reshape(n, 1, dim)))
-        self._entries = (row >= 0) & (column >= 0)
-        self._at = row[self._entries], column[self._entries]
+        place = (np.cumsum(free) - 1).reshape(n, dim)
+        # of the blocks, and of the matrix
+        self._entries = np.flatnonzero(free[:, :, None] & free[:, None])
+        self._at = (len(self.free) * place[:, :, None] + place[:, None]).reshape(-1)[self._entries]
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
         return self.matrix @ unknowns
@@ -179,7 +178,7 @@ class ContactDofs:
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
         matrix = self.matrix.copy()
-        matrix[self._at] += blocks[self._entries]
+        matrix.reshape(-1)[self._at] += blocks.reshape(-1)[self._entries]
         return dense_factors(matrix)
 
 
@@ -187,6 +186,16 @@ def dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | No
     """What solves with a matrix, which is overwritten; None where it is singular."""
     lower, pivots, info = linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
     return None if info else lambda rhs: linalg.lapack.dgetrs(lower, pivots, rhs, trans=1)[0]
+
+
+@kernel
+def _largest(vector):
+    """The largest absolute value of the entries; NaN if one is."""
+    result = 0.0
+    for x in vector:
+        if abs(x) > result or np.isnan(x):
+            result = abs(x)
+    return result
 
 
 @inner_kernel

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -89,7 +90,7 @@ class LocalSystem:
         """Return the number of stored entries: the unit in which work is counted."""
         return len(self.data)
 
-    @property
+    @cached_property
     def matrix(self) -> sparse.bsr_array:
         """Return the matrix, sharing memory."""
         blocks = self.data.reshape(-1, self.dim, self.dim)

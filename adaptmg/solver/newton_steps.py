@@ -67,7 +67,7 @@ class CondensedSteps:
         free = ~self.local.system.fixed[self.condensed.contact]
         with self.run.phase("solve"):
             return (ContactDofs(self.condensed.matrix, free.reshape(-1, self.local.system.dim)),
-                    self.condensed.reduce(self.local.load)[1][free])
+                    self.condensed.reduced[1][free])
 
     def outside(self, found: Interior) -> np.ndarray:
         with self.run.phase("solve"):
