@@ -11,7 +11,7 @@ swapped, or come from another folder, are recognised. No file that is there is w
 In a head a fingerprint identifies the computation. Of each array on the meshes it has the length, the norm and the
 product with a fixed wave, compared to a relative 1e-8: another mesh, material, load or law shows, the rounding of
 another machine does not. Objects are compared by value, with the code of the user's functions and classes in them
-(:func:`adaptmg._fingerprint.value_parts`).
+(:func:`adaptmg.solver.fingerprint.value_parts`).
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, opened, read_bytes, write_bytes
-from adaptmg._fingerprint import value_parts
 from adaptmg._text import printable
 from adaptmg.discrete.discretise import LoadSteps
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.solver.fingerprint import value_parts
 
 Kinds = tuple[type, ...]
 

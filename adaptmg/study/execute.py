@@ -22,9 +22,9 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
-from adaptmg._fingerprint import Fingerprint, environment, fingerprint
 from adaptmg._machine import peak_memory, reset_peak_memory
 from adaptmg._text import printable
+from adaptmg.solver.fingerprint import Fingerprint, environment, fingerprint
 from adaptmg.study.kept_files import Packed, pack
 from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, WrongResults, bounded, plain_results
 

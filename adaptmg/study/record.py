@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._fingerprint import Fingerprint
+from adaptmg.solver.fingerprint import Fingerprint
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,7 +43,7 @@ class Record:
     results: dict[str, Scalar] = field(default_factory=dict)  # the path of a file where a result is kept as one
     error: str = ""  # type and text of the exception of a failed run
     seconds: float = 0.0  # wall time
-    code: str = ""  # fingerprint, see :mod:`adaptmg._fingerprint`
+    code: str = ""  # fingerprint, see :mod:`adaptmg.solver.fingerprint`
     versions: dict[str, str] = field(default_factory=dict)  # of Python and of the packages
     finished: str = ""  # UTC, ISO 8601
     traceback: str = ""  # of a failed run

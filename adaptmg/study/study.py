@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, ClassVar
 import pandas as pd
 
 from adaptmg import _checks as checks
-from adaptmg._fingerprint import Fingerprint, environment, fingerprint
+from adaptmg.solver.fingerprint import Fingerprint, environment, fingerprint
 from adaptmg.study.designs import DesignLike, as_design
 from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, commit, in_turn, now
 from adaptmg.study.kept_files import Folder

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from adaptmg._fingerprint import fingerprint
+from adaptmg.solver.fingerprint import fingerprint
 
 TABLE = [re.match(r"(\w+): (.*?)\n(.*)", block, re.DOTALL).groups() for block in
          Path(__file__).with_name("code_changes.txt").read_text(encoding="utf-8").split("=== ")[1:]]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg._fingerprint import environment, fingerprint
+from adaptmg.solver.fingerprint import environment, fingerprint
 from adaptmg.study import Study
 from adaptmg.study.record import Record
 
@@ -106,7 +106,7 @@ def test_a_script_is_the_same_run_or_imported(tmp_path, monkeypatch):
     script = ("from dataclasses import dataclass\nLIMIT = 3\n@dataclass\nclass Size:\n    h: float = 1.0\n"
               "    def area(self):\n        return self.h**2\nSIZE = Size()\n"
               "def run(n):\n    return {'m': n * LIMIT * SIZE.area()}\n"
-              "if __name__ == '__main__':\n    from adaptmg._fingerprint import fingerprint\n"
+              "if __name__ == '__main__':\n    from adaptmg.solver.fingerprint import fingerprint\n"
               "    f = fingerprint(run)\n    print(f.code, *sorted(f.parts), sep='\\n')\n")
     (tmp_path / "started.py").write_text(script, encoding="utf-8")
     run = subprocess.run([sys.executable, str(tmp_path / "started.py")], capture_output=True, text=True, check=True)
@@ -132,7 +132,7 @@ def test_adaptmg_and_packages_count_where_they_are_used():
 
 
 def test_sources_edited_after_they_were_loaded_are_refused(monkeypatch):
-    from adaptmg._fingerprint import _sources
+    from adaptmg.solver.fingerprint import _sources
 
     assert _sources.__wrapped__() == _sources()
     monkeypatch.setattr(am, "_LOADED", 0.0)

@@ -35,7 +35,7 @@ import numpy as np
 
 #: on which the results of adaptmg depend, with itself
 PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
-_NOT_NUMERICAL = ("_fingerprint.py", "cli", "export", "plot", "study")
+_NOT_NUMERICAL = ("cli", "export", "plot", "study")
 _MAIN, _NAMED = ("__main__", "__mp_main__"), (FunctionType, type, ModuleType)
 #: what runs would share and change, or what only an address stands for
 _REFUSED = (np.random.Generator, np.random.RandomState, np.random.BitGenerator, random.Random, ctypes.CDLL)
@@ -355,9 +355,10 @@ def _content(path: Path) -> str:
 @cache
 def _sources() -> str:
     """Return one hash of adaptmg's numerical sources; RuntimeError for those that were edited after their import."""
-    root, content = Path(__file__).parent, hashlib.sha256()
+    here, content = Path(__file__), hashlib.sha256()
+    root = here.parents[1]
     for file in sorted(root.rglob("*.py")):
-        if file.relative_to(root).parts[0] not in _NOT_NUMERICAL:
+        if file != here and file.relative_to(root).parts[0] not in _NOT_NUMERICAL:
             if file.stat().st_mtime > sys.modules["adaptmg"]._LOADED:
                 raise RuntimeError(f"{file} was edited after adaptmg was loaded: start Python again")
             content.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
