@@ -248,6 +248,10 @@ def test_other_laws_and_loads_share_factors_and_aggregates(case):
         for name in part.split("."):
             a, b = getattr(a, name), getattr(b, name)
         np.testing.assert_array_equal(a, b)
+    am.solve(grids, am.ActiveSet())
+    again, once = (am.solve(one, am.ActiveSet())
+                   for one in (grids.with_problem(other), am.Hierarchy.uniform(other, (2, 4))))
+    np.testing.assert_array_equal(again.displacement, once.displacement)
 
 
 def test_nothing_outlives_its_problem():
