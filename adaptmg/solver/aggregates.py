@@ -15,13 +15,30 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from adaptmg._numba import kernel
 from adaptmg._threads import in_parts
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, read, scale, times, write
+from adaptmg.smoother.blocks import (
+    EIGHT,
+    FOUR,
+    ONE,
+    SEVEN,
+    SIX,
+    THREE,
+    TWO,
+    ZERO,
+    add,
+    in_loop,
+    inner,
+    read,
+    scale,
+    subtract,
+    times,
+    write,
+)
 
 #: nodes of an aggregate and its depth in the graph, by dimension
 _SIZE = {2: (64, 4), 3: (80, 3)}
-#: beyond this number of nodes: least nodes of an aggregate, and about the most aggregates, which bound the cost of the
-#: coarse matrix
-_MANY, _LARGE, _MOST = 40_000, 100, {2: 1800, 3: 500}
+#: beyond this number of nodes, by dimension: least nodes of an aggregate, and about the most aggregates, which bound the
+#: cost of the coarse matrix
+_MANY, _LARGE, _MOST = {2: 40_000, 3: 24_000}, 100, {2: 1800, 3: 300}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
 #: neighbours of an aggregate for which there is room at first
@@ -156,7 +173,7 @@ class Aggregates:
             group[problem.contact.nodes] += bodies
         group[np.logical_and.reduce([problem.fixed[k::dim] for k in range(dim)])] = -1
         size, depth = _SIZE[dim]
-        if n > _MANY:
+        if n > _MANY[dim]:
             size = max(_LARGE, n // _MOST[dim])
             depth = round(0.9 * size ** (1 / dim))
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
@@ -229,34 +246,92 @@ def _moved(q, i, zero, offset, held, kept):
     return v
 
 
+@in_loop
+def _plus(array, at, v):
+    write(array, at, add(read(array, at, v), v))
+
+
+@in_loop
+def _column(blocks, at, like):
+    """A column of a block, from the position of its first entry on."""
+    if len(like) == 2:
+        return blocks[at], blocks[at + TWO]
+    return blocks[at], blocks[at + THREE], blocks[at + SIX]
+
+
+@in_loop
+def _across(y, v, z, w):
+    return subtract(scale(y, v), scale(z, w))
+
+
+@in_loop
+def _add_forces(blocks, at, i, zero, offset, held, kept, forces):
+    """Forces (modes x dim) += the block at a position times the motions of the aggregate of node i there."""
+    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
+    x = read(offset, dim * np.uint64(i), zero)
+    if held[i] >= 0:
+        for q in range(modes):
+            _plus(forces, dim * np.uint64(q), times(blocks, at, _moved(q, i, zero, offset, held, kept)))
+        return
+    first, second = _column(blocks, at, zero), _column(blocks, at + ONE, zero)
+    _plus(forces, np.uint64(0), first)
+    _plus(forces, dim, second)
+    if len(zero) == 2:
+        _plus(forces, FOUR, _across(x[0], second, x[1], first))
+    else:
+        third = _column(blocks, at + TWO, zero)
+        _plus(forces, SIX, third)
+        _plus(forces, SIX + THREE, _across(x[1], third, x[2], second))
+        _plus(forces, SIX + SIX, _across(x[2], first, x[0], third))
+        _plus(forces, SEVEN + EIGHT, _across(x[0], second, x[1], first))
+
+
+@in_loop
+def _collect(forces, i, zero, offset, held, kept, coarse):
+    """Coarse (modes, modes) += the work of forces at node i by the motions of its aggregate; forces become zero."""
+    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
+    x = read(offset, dim * np.uint64(i), zero)
+    for q in range(modes):
+        f = read(forces, dim * np.uint64(q), zero)
+        write(forces, dim * np.uint64(q), zero)
+        if held[i] >= 0:
+            for k in range(modes):
+                coarse[k, q] += inner(_moved(k, i, zero, offset, held, kept), f)
+            continue
+        coarse[0, q] += f[0]
+        coarse[1, q] += f[1]
+        if len(zero) == 2:
+            coarse[2, q] += x[0] * f[1] - x[1] * f[0]
+        else:
+            coarse[2, q] += f[2]
+            coarse[3, q] += x[1] * f[2] - x[2] * f[1]
+            coarse[4, q] += x[2] * f[0] - x[0] * f[2]
+            coarse[5, q] += x[0] * f[1] - x[1] * f[0]
+
+
 @kernel
 def _galerkin(first, last, zero, indptr, indices, data, diagonal, held, kept, offset, label, order, starts,
               coarse_indptr, coarse_indices, coarse):
     """coarse += half of B' (A + S) B: the other half is its transpose. ``diagonal`` are the blocks of A + S."""
-    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
-    slot = np.empty(len(starts) - 1, dtype=np.int32)
+    size, modes = np.uint64(len(zero) * len(zero)), 3 * len(zero) - 3
+    slot, forces = np.empty(len(starts) - 1, dtype=np.int32), np.zeros(modes * len(zero))
     for a in range(first, last):
         for s in range(coarse_indptr[a], coarse_indptr[a + 1]):
             slot[coarse_indices[s]] = s
-        own = coarse_indptr[a]
         for place in range(starts[a], starts[a + 1]):
-            i = np.int64(order[place])
-            begin, end = indptr[i], indptr[i + 1]
-            for q in range(modes):
-                total = scale(0.5, times(diagonal, dim * dim * np.uint64(i), _moved(q, i, zero, offset, held, kept)))
-                for p in range(begin, end):
-                    j = np.int64(indices[p])
-                    if j <= i or label[j] < 0:
-                        continue
-                    force = times(data, dim * dim * np.uint64(p), _moved(q, j, zero, offset, held, kept))
-                    if label[j] == a:
-                        total = add(total, force)
-                    else:
-                        at = slot[label[j]]
-                        for k in range(modes):
-                            coarse[at, k, q] += inner(_moved(k, i, zero, offset, held, kept), force)
-                for k in range(modes):
-                    coarse[own, k, q] += inner(_moved(k, i, zero, offset, held, kept), total)
+            i, met = np.int64(order[place]), a
+            _add_forces(diagonal, size * np.uint64(i), i, zero, offset, held, kept, forces)
+            for k in range(len(forces)):
+                forces[k] *= 0.5
+            for p in range(indptr[i], indptr[i + 1]):
+                j = np.int64(indices[p])
+                if j <= i or label[j] < 0:
+                    continue
+                if label[j] != met:
+                    _collect(forces, i, zero, offset, held, kept, coarse[slot[met]])
+                    met = label[j]
+                _add_forces(data, size * np.uint64(p), j, zero, offset, held, kept, forces)
+            _collect(forces, i, zero, offset, held, kept, coarse[slot[met]])
 
 
 @kernel
