@@ -36,8 +36,8 @@ from adaptmg.smoother.blocks import (
 
 #: nodes of an aggregate and its depth in the graph, by dimension
 _SIZE = {2: (64, 4), 3: (80, 3)}
-#: beyond this number of nodes, by dimension: least nodes of an aggregate, and about the most aggregates, which bound the
-#: cost of the coarse matrix
+#: beyond this number of nodes, by dimension: least nodes of an aggregate, and about the most aggregates, which bound
+#: the cost of the coarse matrix
 _MANY, _LARGE, _MOST = {2: 40_000, 3: 24_000}, 100, {2: 1800, 3: 300}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
