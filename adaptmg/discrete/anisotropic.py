@@ -36,24 +36,24 @@ class Moduli:
     rows: np.ndarray  # (n_elements,) int32: which of them an element has
 
     def stress(self, strain: np.ndarray) -> np.ndarray:
-        """Columns (n_elements, k) of C times strain tensors (n_elements, 3, 3); plane stress: without that of zz."""
+        """Return columns (n_elements, k) of C times strains (n_elements, 3, 3); plane stress: without that of zz."""
         return np.einsum("nij,nj->ni", self.table[self.rows], columns(strain, self.table.shape[1]))
 
     def work(self, stress: np.ndarray, other: np.ndarray, plane: bool) -> np.ndarray:
-        """Of two stresses, columns (n_elements, ..., k), one times the strains that the other makes, (n_elements, ...);
-        in the plane the columns are xx, yy, xy."""
+        """Return one of two stresses, columns (n_elements, ..., k), times the strains that the other makes,
+        (n_elements, ...); in the plane the columns are xx, yy, xy."""
         kept = [0, 1, 3] if plane else list(range(self.table.shape[1]))
         compliance = np.linalg.inv(self.table[:, kept][:, :, kept])[self.rows]
         return np.einsum("n...i,nij,n...j->n...", stress, compliance, other)
 
     def of_hoop(self) -> np.ndarray:
-        """Stresses rr, zz, hoop, rz (n_elements, 4) of a hoop strain of 1."""
+        """Return the stresses rr, zz, hoop, rz (n_elements, 4) of a hoop strain of 1."""
         return self.table[self.rows, :, 2]
 
 
 def moduli(mesh: MeshArrays, materials: tuple[Elastic, ...], most: float = np.inf) -> Moduli | None:
-    """The tensors of the materials of the bodies; None where all are isotropic. Lame's first constant of isotropic ones
-    is cut off at ``most`` shear moduli."""
+    """Return the tensors of the materials of the bodies; None where all are isotropic. Lame's first constant of
+    isotropic ones is cut off at ``most`` shear moduli."""
     own = [one.anisotropy for one in materials]
     if not any(own):
         return None
@@ -92,13 +92,13 @@ def _tensors(material: Elastic, points: np.ndarray, dim: int, most: float) -> np
 
 
 def columns(tensors: np.ndarray, k: int) -> np.ndarray:
-    """Columns (n, k) of strain tensors (n, 3, 3)."""
+    """Return the columns (n, k) of strain tensors (n, 3, 3)."""
     i, j = _PAIRS[:k].T
     return tensors[:, i, j] * np.where(i == j, 1.0, 2.0)
 
 
 def as_tensors(stress: np.ndarray) -> np.ndarray:
-    """Symmetric tensors (n, 3, 3) of the columns (n, k) of stresses."""
+    """Return the symmetric tensors (n, 3, 3) of the columns (n, k) of stresses."""
     result = np.zeros((len(stress), 3, 3))
     i, j = _PAIRS[:stress.shape[1]].T
     result[:, i, j] = result[:, j, i] = stress

@@ -116,13 +116,13 @@ class ContactNodes:
         return names, masters
 
     def check_name_contact(self) -> None:
-        """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""
+        """Raise ValueError if one of several names is "contact", which stands for all contact boundaries together."""
         if CONTACT in self.masters or (CONTACT in self.names and len(self.names) > 1):
             raise ValueError(f"contact: the name {CONTACT!r} stands for all contact boundaries together; of several "
                              f"names and masters none may be it, got {self.names} and {self.masters}")
 
     def check_nodes(self, n_nodes: int) -> None:
-        """ValueError unless all nodes are below ``n_nodes``."""
+        """Raise ValueError unless all nodes are below ``n_nodes``."""
         if self.nodes.max(initial=-1) >= n_nodes:
             raise ValueError(f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes")
 
@@ -141,7 +141,7 @@ _ASYMMETRY = 1e-8
 
 
 def bounded(name: str, value: object, shape: tuple[int | None, ...], largest: float = LARGEST) -> np.ndarray:
-    """A read-only copy as float64, of a size that energies bear."""
+    """Return a read-only copy as float64, of a size that energies bear."""
     result = check_arrays.array(name, value, shape)
     if not (size := largest_entry(result)) <= largest:
         raise ValueError(f"{name} must be at most {largest:g} in SI units, got {size:.3g}")
@@ -149,19 +149,19 @@ def bounded(name: str, value: object, shape: tuple[int | None, ...], largest: fl
 
 
 def largest_entry(values: np.ndarray) -> float:
-    """The largest magnitude of an array; 0 of an empty one."""
+    """Return the largest magnitude of an array; 0 of an empty one."""
     return max(values.max(initial=0.0), -values.min(initial=0.0))
 
 
 def check_size(name: str, size: float) -> None:
-    """ValueError if the largest entry of a matrix or load is none that a physical problem can have."""
+    """Raise ValueError if the largest entry of a matrix or load is none that a physical problem can have."""
     if size and not SMALLEST <= size <= LARGEST:
         raise ValueError(f"{name}: its largest entry {size:.3g} is out of range, {SMALLEST:g} to {LARGEST:g}: choose "
                          "units in which numbers are nearer to 1")
 
 
 def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
-    """A read-only copy of a boolean mask over dofs."""
+    """Return a read-only copy of a boolean mask over dofs."""
     try:
         given = np.asarray(value)
     except ValueError:
@@ -178,7 +178,7 @@ def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
 
 
 def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
-    """Nodes by body, checked."""
+    """Return nodes by body, checked."""
     checks.instance("bodies", bodies, Mapping, "a mapping of names to arrays of nodes")
     result = {checks.boundary_name("the names in bodies", name): check_arrays.array(f"bodies[{name!r}]", nodes, (None,),
                                                                               integer=True)
@@ -191,7 +191,7 @@ def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
 
 
 def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
-    """A stiffness matrix in blocks, symmetric with a positive diagonal."""
+    """Return a stiffness matrix in blocks, symmetric with a positive diagonal."""
     matrix = check_arrays.square_blocks("matrix", value, dim)
     scale, diagonal = largest_entry(matrix.data), matrix.diagonal()
     if not scale > 0:

@@ -70,29 +70,29 @@ class Coupling:
         return len(self.fixed) // self.weights.shape[0]
 
     def physical(self, relative: np.ndarray) -> np.ndarray:
-        """u = T w for values (n_dofs,) or (n_dofs, k); primal."""
+        """Return u = T w for values (n_dofs,) or (n_dofs, k); primal."""
         return relative + self._series @ relative
 
     def relative(self, displacement: np.ndarray) -> np.ndarray:
-        """w = T^-1 u for values (n_dofs,) or (n_dofs, k); primal."""
+        """Return w = T^-1 u for values (n_dofs,) or (n_dofs, k); primal."""
         return displacement - self._by_dof @ displacement
 
     def relative_forces(self, forces: np.ndarray) -> np.ndarray:
-        """T' f for nodal forces (n_dofs,); dual."""
+        """Return T' f for nodal forces (n_dofs,); dual."""
         return forces + self._series.T @ forces
 
     def physical_forces(self, forces: np.ndarray) -> np.ndarray:
-        """T^-T f for forces (n_dofs,) in relative coordinates; dual."""
+        """Return T^-T f for forces (n_dofs,) in relative coordinates; dual."""
         return forces - self._by_dof.T @ forces
 
     def relative_rows(self, rows: sparse.csr_array) -> sparse.csr_array:
-        """B T for rows (n, n_dofs) that act on displacements."""
+        """Return B T for rows (n, n_dofs) that act on displacements."""
         result = sparse.csr_array(rows + rows @ self._series)
         result.sort_indices()
         return narrowed(result)
 
     def transformed(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
-        """T' A T in blocks, exactly symmetric, for a symmetric A (n_dofs, n_dofs)."""
+        """Return T' A T in blocks, exactly symmetric, for a symmetric A (n_dofs, n_dofs)."""
         dim = self.dim
         series = sparse.bsr_array(self._series, blocksize=(dim, dim))
         right = sparse.bsr_array(matrix @ series)
@@ -101,8 +101,8 @@ class Coupling:
         return narrowed(sparse.bsr_array(matrix + change, blocksize=(dim, dim)).sorted_indices())
 
     def prolongation(self, nodal: sparse.csr_array, coarse: Coupling) -> sparse.csr_array:
-        r"""A nodal prolongation P in relative coordinates on both levels, :math:`(I - W_f)\,P\,(I - W_c)^{-1}`. It
-        spans the space that P spans: rigid motions of both bodies and all else that P reproduces."""
+        r"""Return a nodal prolongation P in relative coordinates on both levels, :math:`(I - W_f)\,P\,(I - W_c)^{-1}`.
+        It spans the space that P spans: rigid motions of both bodies and all else that P reproduces."""
         inner = sparse.csr_array(nodal @ coarse.upward)
         result = sparse.csr_array(inner - self.weights @ inner)
         result.data[np.abs(result.data) < _ROUNDING] = 0.0
@@ -124,7 +124,7 @@ def _series(step: sparse.csr_array) -> sparse.csr_array:
 
 
 def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
-    """The positive entries of weights: those of the other body, not of slave nodes that carry no multiplier."""
+    """Return the positive entries of weights: those of the other body, not of slave nodes that carry no multiplier."""
     result = sparse.csr_array(rows, copy=True)
     result.data = np.maximum(result.data, 0.0)
     return result
@@ -153,42 +153,42 @@ class Unknowns:
         return self.contact.dim
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:
-        """Displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: the same without a coupling."""
+        """Return the displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: these if uncoupled."""
         flat = np.asarray(unknowns, dtype=np.float64).reshape(-1)
         return (flat if self.coupling is None else self.coupling.physical(flat)).reshape(-1, self.dim)
 
     def relative(self, displacement: np.ndarray) -> np.ndarray:
-        """Unknowns (n_nodes, dim) of a displacement, m: the inverse of :meth:`physical`."""
+        """Return the unknowns (n_nodes, dim) of a displacement, m: the inverse of :meth:`physical`."""
         flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
         return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(-1, self.dim)
 
     def physical_forces(self, forces: np.ndarray) -> np.ndarray:
-        """Nodal forces (n_dofs,) on the bodies from those that belong to the unknowns, N; dual."""
+        """Return the nodal forces (n_dofs,) on the bodies from those that belong to the unknowns, N; dual."""
         return forces if self.coupling is None else self.coupling.physical_forces(forces)
 
     def relative_forces(self, forces: np.ndarray) -> np.ndarray:
-        """The inverse of :meth:`physical_forces`."""
+        """Return the inverse of :meth:`physical_forces`."""
         return forces if self.coupling is None else self.coupling.relative_forces(forces)
 
     def from_prescribed(self, unknowns: np.ndarray) -> np.ndarray:
-        """Unknowns (n_dofs,) or (n_nodes, dim) minus the prescribed values, zero at fixed dofs (n_dofs,), m."""
+        """Return unknowns (n_dofs,) or (n_nodes, dim) minus the prescribed values, zero at fixed dofs (n_dofs,), m."""
         result = unknowns.reshape(-1) - self.fixed_values
         result[self.fixed] = 0.0
         return result
 
     def with_prescribed(self, change: np.ndarray) -> np.ndarray:
-        """The inverse of :meth:`from_prescribed` (n_dofs,)."""
+        """Return the inverse of :meth:`from_prescribed` (n_dofs,)."""
         return change + self.fixed_values
 
     def load_from_prescribed(self) -> np.ndarray:
-        """The load b - A u_fixed of what :meth:`from_prescribed` returns, zero at fixed dofs (n_dofs,), N."""
+        """Return the load b - A u_fixed of what :meth:`from_prescribed` returns, zero at fixed dofs (n_dofs,), N."""
         load = self.load - self.matrix @ self.fixed_values if self.fixed_values.any() else self.load.copy()
         load[self.fixed] = 0.0
         return load
 
     def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
-        """Displacement (n_contact, dim) of the contact nodes relative to what they face, m. Of the unknowns; between
-        bodies that both are held, relative to what holds the other one."""
+        """Return the displacement (n_contact, dim) of the contact nodes relative to what they face, m. Of the unknowns;
+        between bodies that both are held, relative to what holds the other one."""
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
         nodes = self.contact.nodes
         result, own = nodal[nodes], self.fixed.reshape(-1, self.dim)[nodes]
@@ -201,8 +201,8 @@ class Unknowns:
         return result if self.inclined is None else self.inclined.free_part(nodes, result)
 
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
-        """For each component the contact nodes at which it is fixed and faces fixed ones, and the weights of these.
-        Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component."""
+        """Return for each component the contact nodes at which it is fixed and faces fixed ones, and the weights of
+        these. Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component."""
         if self.coupling is None:
             return []
         rows, fixed, result = self.coupling.weights[self.contact.nodes], self.held.reshape(-1, self.dim), []
@@ -217,7 +217,7 @@ class Unknowns:
 
 
 def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
-    """Orthonormal frames at contact nodes."""
+    """Return orthonormal frames at contact nodes."""
     n = contact.normals
     frames = np.empty((len(n), contact.dim, contact.dim))
     frames[:, 0] = n
@@ -234,17 +234,17 @@ def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
 
 
 def to_frames(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Local components (n, dim) of Cartesian vectors (n, dim) at contact nodes, with the frames (n, dim, dim) there."""
+    """Return local components (n, dim) of Cartesian vectors (n, dim) at contact nodes with frames (n, dim, dim)."""
     return np.einsum("nij,nj->ni", frames, vectors)
 
 
 def from_frames(frames: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """The inverse of :func:`to_frames`; with some rows of the frames, ``frames[:, 1:]`` say, of those components."""
+    """Return the inverse of :func:`to_frames`; with some rows of frames, say ``frames[:, 1:]``, of those components."""
     return np.einsum("nk,nkd->nd", local, frames)
 
 
 def rotate(vector: np.ndarray, frames: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """A copy of a dof vector with ``frames`` (n_contact, dim, dim) applied at ``nodes``."""
+    """Return a copy of a dof vector with ``frames`` (n_contact, dim, dim) applied at ``nodes``."""
     dim = frames.shape[1]
     result = np.array(vector, dtype=np.float64).reshape(-1, dim)
     result[nodes] = to_frames(frames, result[nodes])
@@ -252,5 +252,5 @@ def rotate(vector: np.ndarray, frames: np.ndarray, nodes: np.ndarray) -> np.ndar
 
 
 def rotate_back(vector: np.ndarray, frames: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """The inverse of :func:`rotate`."""
+    """Return the inverse of :func:`rotate`."""
     return rotate(vector, np.swapaxes(frames, 1, 2), nodes)

@@ -20,7 +20,7 @@ from adaptmg.problem.loads import Preload
 
 
 def cut_force(mesh: MeshArrays, data: StressData, displacement: np.ndarray, preload: Preload) -> float:
-    """Tension across the cut of a preload, N; ValueError if no element of the body lies across it."""
+    """Return the tension across the cut of a preload, N; ValueError if no element of the body lies across it."""
     elements, axis = body_elements(mesh, preload.body), preload.direction
     nodes = np.unique(mesh.elements[elements])
     along = mesh.points[nodes, axis]
@@ -37,7 +37,7 @@ def cut_force(mesh: MeshArrays, data: StressData, displacement: np.ndarray, prel
 
 
 def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> float:
-    """Force, N, that a strain of 1 makes in the mean section of the body, whose sides are free."""
+    """Return the force, N, that a strain of 1 makes in the mean section of the body, whose sides are free."""
     elements, young = body_elements(mesh, preload.body), body_materials(mesh, material)[
         mesh.bodies.index(preload.body)].young
     volume = element_measures(mesh, is_axisymmetric(material))[elements].sum()

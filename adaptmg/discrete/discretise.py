@@ -165,7 +165,7 @@ def _strain_free(problem: ContactProblem, mesh: MeshArrays, materials: Materials
 
 
 def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
-    """Names of the parts but laws that may have other values than ``before``; functions may return others."""
+    """Return names of the parts but laws that may have other values than ``before``; functions may return others."""
     surfaces = [tuple(replace(one, law=None) for one in posed.contact) for posed in (problem, before)]
     return frozenset({"contact"} if not same(*surfaces) else ()) | frozenset(
         name for name in ("material", "supports", "loads", "elements", "ties")
@@ -176,7 +176,7 @@ _PLAIN = (type(None), bool, int, float, str, np.number, Path)
 
 
 def same(a: object, b: object) -> bool:
-    """Whether parts of problems have the same values; functions and objects of other modules may change unseen."""
+    """Return whether parts have the same values; functions and objects of other modules may change unseen."""
     if type(a) is not type(b):
         return False
     if isinstance(a, np.ndarray):
@@ -192,8 +192,8 @@ def same(a: object, b: object) -> bool:
 
 def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem, changed: frozenset[str]
                  ) -> DiscreteProblem:
-    """As :func:`discretise`; ``old``, that of a problem that differs in the parts ``changed`` and in the law, gives
-    what only loads and law leave unchanged."""
+    """Discretise as :func:`discretise` does; ``old``, that of a problem that differs in the parts ``changed`` and in
+    the law, gives what only loads and law leave unchanged."""
     posed = old.contact if old.exchange is None else old.exchange.contact
     if changed - {"loads"} or posed.slip_reference.any() or (changed and old.inclined is not None):
         return discretise(problem, mesh)
@@ -271,10 +271,9 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
                  excluded: np.ndarray | None = None, held: HeldNodes | None = None,
                  ties: Sequence[MortarInterface] = ()
                  ) -> tuple[ContactNodes, sparse.csr_array | None, Stops | None]:
-    """Nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow; and what
-    stops nodes that supports move. ``excluded``
-    slave nodes carry no multiplier; ``slip_reference`` (n_nodes, dim) is a displacement, m. Nodes of ``ties`` carry no
-    contact."""
+    """Return the nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow;
+    and what stops nodes that supports move. ``excluded`` slave nodes carry no multiplier; ``slip_reference`` (n_nodes,
+    dim) is a displacement, m. Nodes of ``ties`` carry no contact."""
     owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
     surfaces = [mesh.surface(name) for name in problem.contact_boundaries]
     for k in reversed(range(len(surfaces))):
@@ -368,14 +367,14 @@ class LoadSteps:
     mesh: MeshArrays | None = None
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | None:
-        """What the stresses of a step follow from."""
+        """Return what the stresses of a step follow from."""
         if not self.strains:
             return self.stress
         return replace(self.stress, initial_strain=sum(factors[name] * strain for name, strain in self.strains.items()))
 
     def step(self, discrete: DiscreteProblem, factors: Mapping[str, float], slip_reference: np.ndarray
              ) -> DiscreteProblem:
-        """The problem of a load step; slips count from ``slip_reference`` (n_contact, dim), m."""
+        """Return the problem of a load step; slips count from ``slip_reference`` (n_contact, dim), m."""
         volumes = discrete.volumes
         if volumes is not None and self.strains:
             data = self.stress_data(factors)
@@ -384,14 +383,14 @@ class LoadSteps:
                                   self.strain_free(factors), factors, volumes)
 
     def strain_free(self, factors: Mapping[str, float]) -> tuple[np.ndarray, float] | None:
-        """See :class:`DiscreteProblem`."""
+        """Return ``strain_free`` of a step, see :class:`DiscreteProblem`."""
         if not self.strains:
             return None
         load = sum(factors[name] * load for name, load in self.strain_loads.items())
         return load, self.stress_data(factors).suppressed(self.mesh)
 
     def load(self, factors: Mapping[str, float]) -> np.ndarray:
-        """Nodal forces (n_dofs,) of a step, N."""
+        """Return the nodal forces (n_dofs,) of a step, N."""
         result = np.zeros(self.n_dofs)
         for name, load in self.loads.items():
             if factors[name]:
@@ -399,7 +398,7 @@ class LoadSteps:
         return result
 
     def fixed_values(self, factors: Mapping[str, float]) -> np.ndarray:
-        """Prescribed displacement (n_dofs,) of a step, zero at free dofs, m."""
+        """Return the prescribed displacement (n_dofs,) of a step, zero at free dofs, m."""
         result = np.zeros(self.n_dofs)
         owner = np.full(self.n_dofs, -1)
         for k, (name, (dofs, values)) in enumerate(self.prescribed.items()):
@@ -416,7 +415,7 @@ class LoadSteps:
 
 
 def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> LoadSteps:
-    """The loads and supports of a problem one by one."""
+    """Return the loads and supports of a problem one by one."""
     loads, strains, strain_loads = {}, {}, {}
     for name in dict.fromkeys(map(name_in_path, problem.loads)):
         named = [load.shortening(mesh.dim) if isinstance(load, Preload) else load for load in problem.loads
@@ -443,7 +442,7 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:
-    """All loads and prescribed displacements of a problem without names, as one."""
+    """Return all loads and prescribed displacements of a problem without names, as one."""
     dofs, inclined = np.flatnonzero(discrete.fixed), discrete.inclined
     load = discrete.load if inclined is None else inclined.load
     return LoadSteps(discrete.n_dofs, {DEFAULT: load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])})

@@ -36,7 +36,7 @@ _ROUNDING = 1e-9
 
 
 def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]:
-    """Materials in the order of ``mesh.bodies``, checked against the mesh; such a tuple is returned unchanged."""
+    """Return materials in the order of ``mesh.bodies``, checked against the mesh; such a tuple stays unchanged."""
     if isinstance(material, tuple):
         return material
     if isinstance(material, Mapping):
@@ -66,7 +66,7 @@ def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]
 
 
 def is_axisymmetric(material: Materials) -> bool:
-    """Whether x is the radius r, y the axial coordinate z, and integrals are weighted with 2 pi r."""
+    """Return whether x is the radius r, y the axial coordinate z, and integrals are weighted with 2 pi r."""
     if isinstance(material, Elastic):
         return isinstance(material, Axisymmetric)
     materials = material.values() if isinstance(material, Mapping) else material
@@ -74,7 +74,7 @@ def is_axisymmetric(material: Materials) -> bool:
 
 
 def lame_constants(materials: tuple[Elastic, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Lame constants lambda and mu (n_bodies,) as they enter the stress, Pa."""
+    """Return the Lame constants lambda and mu (n_bodies,) as they enter the stress, Pa."""
     return np.array([one.lame for one in materials]), np.array([one.shear_modulus for one in materials])
 
 
@@ -131,20 +131,20 @@ def _add_tensors(mesh: MeshArrays, own: Moduli, axisymmetric: bool, indptr: np.n
 
 
 def check_used(indptr: np.ndarray) -> None:
-    """ValueError for a node without a row in the pattern."""
+    """Raise ValueError for a node without a row in the pattern."""
     if not (indptr[1:] > indptr[:-1]).all():
         raise ValueError(f"node {np.argmin(indptr[1:] > indptr[:-1])} belongs to no element; remove unused nodes")
 
 
 def check_shapes(mesh: MeshArrays, bad: int) -> None:
-    """ValueError for the element that a kernel returned, unless that is -1."""
+    """Raise ValueError for the element that a kernel returned, unless that is -1."""
     if bad >= 0:
         raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
                          "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
 
 
 def block_matrix(data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> sparse.bsr_array:
-    """The matrix of blocks (n, dim, dim) with sorted columns, whose pattern is not written again."""
+    """Return the matrix of blocks (n, dim, dim) with sorted columns, whose pattern is not written again."""
     if len(indices) < 2**31:
         indptr = indptr.astype(np.int32)
     for array in (indices, indptr):
@@ -156,7 +156,7 @@ def block_matrix(data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> s
 
 
 def node_pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Row pointers and sorted columns of the nodal matrix; pointers to the elements of each node, and these."""
+    """Return row pointers and sorted columns of the nodal matrix; pointers to the elements of each node, and these."""
     start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
     list_elements(elements, start, listed)
     return *pattern_of(start, listed, elements, start[:0], 4 * elements.size), start, listed
@@ -164,7 +164,7 @@ def node_pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.nda
 
 def pattern_of(start: np.ndarray, listed: np.ndarray, nodes: np.ndarray, begin: np.ndarray, size: int
                ) -> tuple[np.ndarray, np.ndarray]:
-    """Row pointers and sorted columns of the nodal matrix of patches: patch e has the ``nodes[begin[e]:begin[e + 1]]``,
+    """Return row pointers and sorted columns of the matrix of patches: patch e has ``nodes[begin[e]:begin[e + 1]]``,
     or nodes[e] of (n, k), node i is in those of ``listed[start[i]:start[i + 1]]``; ``size`` is that of the work."""
     n, indptr = len(start) - 1, np.zeros(len(start), dtype=np.int64)
     given = start, listed, nodes, begin, indptr
@@ -181,7 +181,7 @@ def _clear(first: int, last: int, data: np.ndarray) -> None:
 
 @kernel
 def list_elements(elements, start, listed):
-    """Elements of each node, ascending: ``listed[start[i]:start[i + 1]]``; ``start`` (n_nodes + 1,) comes as 0."""
+    """List elements of each node, ascending: ``listed[start[i]:start[i + 1]]``; ``start`` (n_nodes + 1,) comes as 0."""
     n = len(start) - 1
     for e in range(len(elements)):
         for v in elements[e]:
@@ -199,8 +199,8 @@ def list_elements(elements, start, listed):
 
 @kernel
 def find_neighbours(first, last, start, listed, nodes, begin, indptr, indices):
-    """Columns of the pattern, ascending: nodes that share a patch, each node with itself. Without ``indices`` how many
-    there are, to ``indptr[1:]``, which comes back summed up with them."""
+    """Find the columns of the pattern, ascending: nodes that share a patch, each node with itself. Without ``indices``
+    how many there are, to ``indptr[1:]``, which comes back summed up with them."""
     marker = np.full(len(start) - 1, -1, dtype=np.int32)
     for i in range(first, last):
         count, row = 0, indptr[i]

@@ -49,18 +49,18 @@ class ScaledLaw:
     factors: np.ndarray
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> ScaledLaw:
-        """Itself: it is nodal."""
+        """Return the law itself: it is nodal."""
         return self
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
-        """Limits times the factors; friction."""
+        """Return the limits times the factors, and the friction."""
         limit, friction = self.law.bounds(n_contact)
         return limit * self.factors, friction
 
 
 def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray, law: Law,
                   inclined: Inclined | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The contact nodes to be exchanged, and for whom."""
+    """Return the contact nodes to be exchanged, and for whom."""
     dim = len(fixed) // weights.shape[0]
     fixed = fixed.reshape(-1, dim)
     limit, friction = law.bounds(len(nodes))
@@ -92,7 +92,7 @@ def find_carriers(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarra
 
 
 def rows_of_carriers(weights: sparse.csr_array, slaves: np.ndarray, carriers: np.ndarray) -> sparse.csr_array:
-    """The weights (n_nodes, n_nodes) with ``carriers`` in place of ``slaves`` as the nodes that follow others."""
+    """Return the weights (n_nodes, n_nodes) with ``carriers`` in place of ``slaves`` as nodes that follow others."""
     n = weights.shape[0]
     old = sparse.csr_array(weights[slaves])
     at = np.repeat(np.arange(len(slaves)), np.diff(old.indptr))
@@ -110,7 +110,7 @@ def rows_of_carriers(weights: sparse.csr_array, slaves: np.ndarray, carriers: np
 
 def exchanged(contact: ContactNodes, weights: sparse.csr_array, fixed: np.ndarray, law: Law,
               inclined: Inclined | None = None) -> tuple[ContactNodes, sparse.csr_array, Law, Exchange | None]:
-    """Contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
+    """Return contact, weights and law with masters in the place of slave nodes that a support holds tangentially."""
     places, carriers, unmatched = find_carriers(contact.nodes, weights, fixed, law, inclined)
     if len(unmatched):
         raise ValueError(f"contact: slave node {contact.nodes[unmatched[0]]} has a supported tangential component, and "

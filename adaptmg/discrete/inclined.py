@@ -34,7 +34,7 @@ class Inclined:
     load: np.ndarray = field(default_factory=lambda: np.empty(0))  # (n_dofs,): b
 
     def prescribed(self, factors: Mapping[str, float]) -> np.ndarray:
-        """The displacement (k, dim) that supports prescribe in a load step, m."""
+        """Return the displacement (k, dim) that supports prescribe in a load step, m."""
         return sum((factors.get(name, 1.0) * part for name, part in self.moved.items()), np.zeros(self.spans.shape[:2]))
 
     @property
@@ -43,24 +43,24 @@ class Inclined:
         return sum((part.any(axis=1) for part in self.moved.values()), np.zeros(len(self.nodes), dtype=bool)) > 0
 
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Vectors (n, dim) at some nodes without their parts along the directions that are held."""
+        """Return vectors (n, dim) at some nodes without their parts along the directions that are held."""
         at = np.minimum(np.searchsorted(self.nodes, nodes), len(self.nodes) - 1)
         here = self.nodes[at] == nodes
         return np.where(here[:, None], vectors - np.einsum("nij,nj->ni", self.spans[at], vectors), vectors)
 
     def spread(self, blocks: np.ndarray, n_nodes: int) -> sparse.csr_array:
-        """Blocks (k, dim, dim) on the diagonal of a matrix of all nodes."""
+        """Return the matrix of all nodes with blocks (k, dim, dim) on the diagonal."""
         counts = np.zeros(n_nodes, dtype=np.int64)
         counts[self.nodes] = 1
         n = n_nodes * self.spans.shape[1]
         return sparse.csr_array(sparse.bsr_array((blocks, self.nodes, np.append(0, np.cumsum(counts))), shape=(n, n)))
 
     def along(self, vector: np.ndarray) -> np.ndarray:
-        """The parts (k, dim) of a vector (n_dofs,) along the directions that are held."""
+        """Return the parts (k, dim) of a vector (n_dofs,) along the directions that are held."""
         return np.einsum("nij,nj->ni", self.spans, vector.reshape(-1, self.spans.shape[1])[self.nodes])
 
     def of_problem(self, parts: dict[str, Any]) -> dict[str, Any]:
-        """The parts of a problem, in relative coordinates, with these directions eliminated."""
+        """Return the parts of a problem, in relative coordinates, with these directions eliminated."""
         matrix, dim = parts["matrix"], self.spans.shape[1]
         dofs = (dim * self.nodes[:, None] + np.arange(dim)).reshape(-1)
         rows = sparse.csr_array(sparse.csr_array(matrix)[dofs])
@@ -85,14 +85,14 @@ class Inclined:
         return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
     def posed(self, load: np.ndarray, prescribed: np.ndarray) -> np.ndarray:
-        """b' (n_dofs,) of a load b and what supports prescribe (k, dim)."""
+        """Return b' (n_dofs,) of a load b and what supports prescribe (k, dim)."""
         result = (load - self.rows.T @ prescribed.reshape(-1)).reshape(-1, self.spans.shape[1])
         result[self.nodes] += self.stiffness[:, None] * prescribed - self.along(result)
         return result.reshape(-1)
 
     def strain_free(self, before: tuple[np.ndarray, float] | None, prescribed: np.ndarray
                     ) -> tuple[np.ndarray, float] | None:
-        """What makes the energy of A' that of A; see ``DiscreteProblem.stress_energy``."""
+        """Return what makes the energy of A' that of A; see ``DiscreteProblem.stress_energy``."""
         if not prescribed.any():
             return before
         forces = (self.rows.T @ prescribed.reshape(-1)).reshape(-1, self.spans.shape[1])
@@ -102,7 +102,7 @@ class Inclined:
         return load - forces.reshape(-1), energy + own
 
     def reaction(self, unknowns: np.ndarray) -> np.ndarray:
-        """Forces (n_dofs,) that the supports exert along these directions, of the unknowns (n_dofs,), N."""
+        """Return the forces (n_dofs,) that the supports exert along these directions, of the unknowns (n_dofs,), N."""
         load, result = self.load.reshape(-1, self.spans.shape[1]), np.zeros_like(self.load)
         forces = (self.rows @ unknowns).reshape(-1, load.shape[1]) - load[self.nodes]
         result.reshape(load.shape)[self.nodes] = np.einsum("nij,nj->ni", self.spans, forces)
@@ -117,6 +117,6 @@ class HeldNodes:
     inclined: Inclined | None = None
 
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Vectors (n, dim) at some nodes without their parts along what is held."""
+        """Return vectors (n, dim) at some nodes without their parts along what is held."""
         free = np.where(self.fixed[nodes], 0.0, vectors)
         return free if self.inclined is None else self.inclined.free_part(nodes, free)

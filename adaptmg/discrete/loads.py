@@ -47,7 +47,7 @@ from adaptmg.problem.materials import Elastic, PlaneStress
 
 def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | None = None,
                 elements: str = "linear") -> np.ndarray:
-    """Nodal forces (n_dofs,) of all loads; dual, dof = dim * node + component.
+    """Return the nodal forces (n_dofs,) of all loads; dual, dof = dim * node + component.
 
     N (plane: per metre of thickness; axisymmetric: of the full circumference). Functions of position are called once
     each, with all quadrature points (n, dim). Axisymmetric materials weight all with 2 pi r; initial strains need the
@@ -83,7 +83,7 @@ def _add(result: np.ndarray, mesh: MeshArrays, cells: np.ndarray, measures: np.n
 
 
 def load_density(load: BodyForce | Pressure | Traction, points: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
-    """Force per volume or area at points (n_cells, n_quadrature, dim), in the same shape."""
+    """Return the force per volume or area at points (n_cells, n_quadrature, dim), in the same shape."""
     shape, dim = points.shape[:2], points.shape[2]
     flat = points.reshape(-1, dim)
     if isinstance(load, Pressure):
@@ -96,14 +96,14 @@ def load_density(load: BodyForce | Pressure | Traction, points: np.ndarray, norm
 
 
 def body_elements(mesh: MeshArrays, body: str) -> np.ndarray:
-    """Ascending element numbers of a body; ValueError if it does not exist."""
+    """Return the ascending element numbers of a body; ValueError if it does not exist."""
     if body not in mesh.bodies:
         raise ValueError(f"body {body!r} does not exist; the bodies are {', '.join(mesh.bodies)}")
     return np.flatnonzero(mesh.element_body == mesh.bodies.index(body))
 
 
 def mean_initial_strain(mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric: bool = False) -> np.ndarray:
-    """Mean of all initial strains on each element."""
+    """Return the mean of all initial strains on each element."""
     result = np.zeros((len(mesh.elements), 3))
     for load in loads:
         if isinstance(load, InitialStrain) and not any(map(callable, load.components)):
@@ -117,7 +117,7 @@ def mean_initial_strain(mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric
 
 def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[Elastic, ...], elements: str
                         ) -> np.ndarray:
-    """Nodal forces (n_nodes, dim) of an initial strain."""
+    """Return the nodal forces (n_nodes, dim) of an initial strain."""
     axisymmetric = is_axisymmetric(materials)
     here, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
     if elements == "smoothed":
@@ -176,7 +176,7 @@ def _at_quadrature_points(mesh: MeshArrays, load: InitialStrain, axisymmetric: b
 
 
 def foundation(spring: Spring, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Stiffness per area (n_facets, n_points, dim, dim), N/m^3, at points of facets with these unit normals."""
+    """Return stiffness per area (n_facets, n_points, dim, dim), N/m^3, at points of facets with these unit normals."""
     flat = points.reshape(-1, points.shape[2])
     normal, tangential = (checks.field(f"{name} of the spring on {spring.boundary!r}", getattr(spring, name), flat)
                           .reshape(points.shape[:2]) for name in ("normal", "tangential"))
@@ -201,7 +201,7 @@ def _elements(mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
 
 def supported_stiffness(mesh: MeshArrays, material: Materials, supports: Sequence[AnySupport],
                         elements: str = "linear") -> sparse.bsr_array:
-    """The stiffness of the bodies and of the springs that hold them, as :func:`adaptmg.discrete.stiffness`."""
+    """Return the stiffness of the bodies and of the springs that hold them, as :func:`adaptmg.discrete.stiffness`."""
     matrix = smoothed_stiffness(mesh, material) if elements == "smoothed" else stiffness(mesh, material)
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:
@@ -216,7 +216,7 @@ def supported_stiffness(mesh: MeshArrays, material: Materials, supports: Sequenc
 
 def spring_resultants(mesh: MeshArrays, supports: Sequence[AnySupport], displacement: np.ndarray, axisymmetric: bool
                       ) -> dict[str, list[float]]:
-    """By place the force that springs exert on the bodies, N, and its moment about the origin, N m."""
+    """Return by place the force that springs exert on the bodies, N, and its moment about the origin, N m."""
     result: dict[str, list[float]] = {}
     for spring in (one for one in supports if isinstance(one, Spring | PointSpring)):
         cells, blocks = _elements(mesh, spring, axisymmetric)
@@ -227,6 +227,6 @@ def spring_resultants(mesh: MeshArrays, supports: Sequence[AnySupport], displace
 
 
 def moment(arms: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """The sum of the moments of forces (n, dim) with arms (n, dim): 2D (1,), 3D (3,)."""
+    """Return the sum of the moments of forces (n, dim) with arms (n, dim): 2D (1,), 3D (3,)."""
     every = np.cross(arms, forces) if arms.shape[1] == 3 else arms[:, :1] * forces[:, 1:] - arms[:, 1:] * forces[:, :1]
     return every.sum(axis=0)

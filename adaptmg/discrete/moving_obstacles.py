@@ -21,7 +21,7 @@ _ROUNDING = 1e-14
 
 def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, now: Mapping[int, Moving],
           before: Mapping[int, Moving]) -> DiscreteProblem:
-    """The problem with obstacles, by the number of their contact, in the places ``now``.
+    """Return the problem with obstacles, by the number of their contact, in the places ``now``.
 
     Slip counts from where they were ``before``.
     """

@@ -37,7 +37,7 @@ class Stops:
 
     @classmethod
     def together(cls, parts: list[Stops]) -> Stops | None:
-        """Those of several boundaries, None if there is none."""
+        """Return the stops of several boundaries, None if there is none."""
         if not any(len(part.nodes) for part in parts):
             return None
         return cls(*(np.concatenate([getattr(part, name) for part in parts])
@@ -45,15 +45,15 @@ class Stops:
 
     def moved(self, obstacle: Obstacle, boundary: str, points: np.ndarray, outward: np.ndarray, contact: np.ndarray
               ) -> Stops:
-        """The same with an obstacle in another place; ``points`` and normals ``outward`` (n_nodes, dim) are those of
-        the mesh. Nodes that are among those in ``contact`` are stopped by what holds them in part."""
+        """Return the same with an obstacle in another place; ``points`` and normals ``outward`` (n_nodes, dim) are
+        those of the mesh. Nodes that are among those in ``contact`` are stopped by what holds them in part."""
         own = np.flatnonzero((self.boundary == boundary) & ~np.isin(self.nodes, contact))
         normals, gaps, nodes = self.normals.copy(), self.gaps.copy(), self.nodes[own]
         normals[own], gaps[own] = facing_obstacle(obstacle, boundary, points[nodes], outward[nodes])
         return replace(self, normals=normals, gaps=gaps)
 
     def check(self, moved: np.ndarray) -> None:
-        """ValueError if the prescribed part of a displacement (n_nodes, dim) crosses an obstacle."""
+        """Raise ValueError if the prescribed part of a displacement (n_nodes, dim) crosses an obstacle."""
         own = moved[self.nodes]
         over = np.einsum("nd,nd->n", self.normals, own) - self.gaps
         over -= _ROUNDING * (np.abs(own).max(axis=1, initial=0.0) + np.abs(self.gaps))
@@ -65,7 +65,7 @@ class Stops:
 
 def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
                 owner: np.ndarray, k: int, held: HeldNodes) -> tuple[MortarInterface, list[Stops]]:
-    """The nodes that contact boundary k owns, in front of a rigid obstacle, and those that supports hold there."""
+    """Return the nodes of contact boundary k in front of a rigid obstacle, and those that supports hold there."""
     nodes = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
     try:
         averaged = slave_normals(surfaces[k], held)[nodes]
@@ -94,7 +94,7 @@ def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, sur
 
 def lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
                   ) -> np.ndarray:
-    """Boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
+    """Return the boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
     weights = np.zeros(len(nodes))
     for other, mine in enumerate(surfaces):
         if other != k and isinstance(problem.contact[other], ContactPair):
@@ -111,7 +111,7 @@ def lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.nd
 
 def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, normals: np.ndarray
                     ) -> tuple[np.ndarray, np.ndarray]:
-    """What an obstacle, perhaps user-defined, says of points of a boundary, checked."""
+    """Return what an obstacle, perhaps user-defined, says of points of a boundary, checked."""
     answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
         raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")
@@ -127,7 +127,7 @@ def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, norma
 
 
 def along_free(free: np.ndarray, normals: np.ndarray, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normals (n, dim) and gaps (n,) along the free parts (n, dim) of the normals, unchanged where these vanish."""
+    """Return normals (n, dim) and gaps (n,) along free parts (n, dim) of the normals, unchanged where these vanish."""
     part = _held_in_part(free, normals)
     length = np.where(part, np.linalg.norm(free, axis=1), 1.0)
     return np.where(part[:, None], free / length[:, None], normals), gaps / length
@@ -140,7 +140,7 @@ def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 def free_normals(problem: ContactProblem, mesh: MeshArrays, k: int, nodes: np.ndarray, normals: np.ndarray,
                  held: HeldNodes) -> np.ndarray:
-    """Normals (n, dim) at nodes on contact boundary k without their parts along what supports hold there.
+    """Return the normals (n, dim) at nodes on contact boundary k without their parts along what supports hold there.
 
     ValueError if a support on the boundary itself holds a part of them: what is meant is then something else.
     """
@@ -157,7 +157,7 @@ def free_normals(problem: ContactProblem, mesh: MeshArrays, k: int, nodes: np.nd
 
 
 def may_overlap(contact: Contact | ContactPair) -> bool:
-    """Whether initial gaps may be negative."""
+    """Return whether initial gaps may be negative."""
     return contact.allow_interference or (isinstance(contact, Contact) and isinstance(_first(contact), Moving))
 
 
@@ -168,7 +168,7 @@ def _first(contact: Contact) -> Obstacle:
 
 def with_motions(problem: ContactProblem, points: np.ndarray, boundary: np.ndarray, reference: np.ndarray | None
                   ) -> np.ndarray | None:
-    """The slip reference (n_contact, dim) with how obstacles move, None where nothing does."""
+    """Return the slip reference (n_contact, dim) with how obstacles move, None where nothing does."""
     for k, contact in enumerate(problem.contact):
         obstacle = None if isinstance(contact, ContactPair) else _first(contact)
         if isinstance(obstacle, Moving):

@@ -151,7 +151,7 @@ class DiscreteProblem(Unknowns):
                 weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
                 coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | None = None,
                 name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None) -> DiscreteProblem:
-        """Several bodies in contact, from their uncoupled matrix and load: in relative coordinates, with ``coupling``.
+        """Pose contact of bodies, from their uncoupled matrix and load: in relative coordinates, with ``coupling``.
 
         Parameters as of the class, in displacements, as are those of the Result of :func:`adaptmg.solve`. ``weights``
         W (n_nodes, n_nodes), sparse, have in the rows of slave nodes the nodes that they face, with row sums 1.
@@ -185,8 +185,8 @@ class DiscreteProblem(Unknowns):
                          f"{self.n_dofs} dofs fixed, {len(self.contact)} contact nodes, {self.law!r}")
 
     def stress_energy(self, displacement: np.ndarray, energy: float) -> float:
-        """Of a displacement (n_dofs,), relative coordinates, with the energy u'Au, N m, that of its stresses: without
-        the share that expands freely. At least 1e-8 of what suppresses the expansion: less is rounding."""
+        """Return the energy, N m, of the stresses of a displacement (n_dofs,), relative coordinates, with the energy
+        u'Au: without the share of free expansion. At least 1e-8 of what suppresses the expansion: less is rounding."""
         if self.strain_free is None:
             return energy
         load, suppressed = self.strain_free
@@ -195,7 +195,7 @@ class DiscreteProblem(Unknowns):
     def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray,
                   strain_free: tuple[np.ndarray, float] | None = None,
                   factors: Mapping[str, float] | None = None, volumes: Volumes | None = None) -> DiscreteProblem:
-        """The same bodies under other data (a load step): nothing else is checked or copied again.
+        """Return the same bodies under other data (a load step): nothing else is checked or copied again.
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a coupling relative ones),
         N and m; slips count from ``slip_reference`` (n_contact, dim), as :meth:`at_contact` has it, m. ``factors`` are
@@ -215,7 +215,7 @@ class DiscreteProblem(Unknowns):
                            volumes=self.volumes if volumes is None else volumes)
 
     def check_stops(self, factors: Mapping[str, float]) -> None:
-        """ValueError if what supports hold in a load step lies inside an obstacle."""
+        """Raise ValueError if what supports hold in a load step lies inside an obstacle."""
         if self.stops is not None:
             moved = self.fixed_values.reshape(-1, self.dim).copy()
             if self.inclined is not None:
@@ -223,31 +223,31 @@ class DiscreteProblem(Unknowns):
             self.stops.check(moved)
 
     def posing(self, **parts: object) -> DiscreteProblem:
-        """The same with other parts (load, law, ...), which have been checked."""
+        """Return the same with other parts (load, law, ...), which have been checked."""
         result = copy.copy(self)
         for name, value in parts.items():
             object.__setattr__(result, name, value)
         return result
 
     def facing(self, contact: ContactNodes, exchange: Exchange | None) -> DiscreteProblem:
-        """The same with contact in other directions."""
+        """Return the same with contact in other directions."""
         result = self.posing(contact=contact, exchange=exchange)
         result._check_fixed_at_contact()
         result._complete()
         return result
 
     def alike(self, other: DiscreteProblem) -> bool:
-        """Whether matrix, fixed dofs, contact nodes and normals are those of another one."""
+        """Return whether matrix, fixed dofs, contact nodes and normals are those of another one."""
         return self._structure is other._structure
 
     def under(self, pressures: np.ndarray | None) -> DiscreteProblem:
-        """The same with given pressures (n_groups,) of ``volumes``, Pa, as part of the load."""
+        """Return the same with given pressures (n_groups,) of ``volumes``, Pa, as part of the load."""
         if self.volumes is None or pressures is None:
             return self
         return self.posing(load=self.load - self.volumes.forces(pressures))
 
     def need_no_volumes(self, what: str) -> None:
-        """ValueError if there are volumes, which ``what`` cannot take."""
+        """Raise ValueError if there are volumes, which ``what`` cannot take."""
         if self.volumes is not None:
             raise ValueError(f"grids: {what} cannot solve for smoothed elements with poisson above .4; use "
                              "am.FullMultigrid(), am.Multigrid(correction=am.Truncated()) or am.ActiveSet()")

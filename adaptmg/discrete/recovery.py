@@ -19,7 +19,7 @@ from adaptmg.mesh.arrays import MeshArrays
 
 
 def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Elements and points, a point for each body that uses a node."""
+    """Return the elements and points, a point for each body that uses a node."""
     if len(mesh.bodies) == 1:
         return mesh.elements, mesh.points
     n = mesh.n_nodes
@@ -34,14 +34,14 @@ def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
 
 
 def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Elements of each node, ascending, in compressed rows: of node i ``listed[start[i]:start[i + 1]]``."""
+    """Return the elements of each node, ascending, in compressed rows: of node i ``listed[start[i]:start[i + 1]]``."""
     start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
     list_elements(elements, start, listed)
     return start, listed
 
 
 def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The cells of :func:`apart`, and nodal values (n, n_values) of the values (n_elements, n_values) of elements."""
+    """Return the cells of :func:`apart`, and nodal values (n, n_values) of those (n_elements, n_values) of elements."""
     cells, points = apart(mesh)
     start, listed = elements_of_nodes(cells, len(points))
     nodal, inner = np.zeros((len(points), values.shape[1])), np.zeros(len(points), dtype=bool)

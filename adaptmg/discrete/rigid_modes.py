@@ -15,7 +15,7 @@ from adaptmg.mesh.arrays import MeshArrays
 
 
 def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
-    """Orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an uncoupled problem.
+    """Return orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an uncoupled problem.
 
     Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry (x = r, y = z), zero outside the body, in the order of
     ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count as one.
@@ -36,7 +36,7 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
 
 
 def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
-    """Ascending nodes of each set of bodies that hang together, in the order of their first bodies."""
+    """Return the ascending nodes of each set of bodies that hang together, in the order of their first bodies."""
     n_bodies = len(mesh.bodies)
     if n_bodies == 1:
         return [np.arange(mesh.n_nodes)]
@@ -50,7 +50,7 @@ def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
 
 @one_blas_thread()
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
-    """Rigid-body modes about the centroid, orthonormal."""
+    """Return the rigid-body modes about the centroid, orthonormal."""
     n, dim = points.shape
     # by coordinate, each in one piece: several times faster than point by point
     x = np.ascontiguousarray(points.T)

@@ -21,7 +21,7 @@ STIFFER, ALIKE = 10.0, 2.0
 
 
 def stiffness_ratio(problem: ContactProblem, mesh: MeshArrays, pair: ContactPair) -> float:
-    """Young's modulus of the slave's body over that of the master's."""
+    """Return Young's modulus of the slave's body over that of the master's."""
     return _young(problem, mesh, pair.slave) / _young(problem, mesh, pair.master)
 
 
@@ -34,7 +34,7 @@ def _young(problem: ContactProblem, mesh: MeshArrays, boundary: str) -> float:
 
 
 def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
-    """The problem with the sides of pairs chosen that leave the choice open; the problem itself where none does."""
+    """Choose the sides of pairs that leave the choice open; return the problem itself where none does."""
     if not any(isinstance(pair, ContactPair) and pair.sides == "auto" for pair in problem.contact):
         return problem
     problem.check_boundaries(mesh.boundaries)

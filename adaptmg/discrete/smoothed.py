@@ -46,12 +46,12 @@ EDGE_PART = 4.0
 
 
 def edge_lame(lame: np.ndarray, shear: np.ndarray) -> np.ndarray:
-    """The part of Lame's first constant that acts on the means around edges, Pa."""
+    """Return the part of Lame's first constant that acts on the means around edges, Pa."""
     return np.minimum(lame, EDGE_PART * shear)
 
 
 def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
-    """Volumes (n_elements,) of the elements, in axisymmetry of the full circumference."""
+    """Return the volumes (n_elements,) of the elements, in axisymmetry of the full circumference."""
     if not axisymmetric:
         return mesh.volumes
     return 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * mesh.volumes
@@ -120,7 +120,7 @@ def _patches(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
 
 
 def smoothed(mesh: MeshArrays, values: np.ndarray, measures: np.ndarray) -> np.ndarray:
-    """S v (n_elements, n_values) of the values of elements, which have these ``measures``."""
+    """Return S v (n_elements, n_values) of the values of elements, which have these ``measures``."""
     cells, points = apart(mesh)
     indptr, indices, start, listed = node_pattern(cells, len(points))
     result = np.zeros(values.shape)

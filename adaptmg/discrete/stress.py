@@ -36,7 +36,7 @@ from adaptmg.problem.materials import PlaneStress
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """Symmetric small-strain tensors (n_elements, dim, dim) in the plane (3D: full), initial strains included.
+    """Return symmetric small-strain tensors (n_elements, dim, dim) in the plane (3D: full), initial strains included.
 
     The displacement is (n_nodes, dim) or (n_dofs,), m.
     """
@@ -45,7 +45,7 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
 
 def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """Gradients d u_i / d x_j (n_elements, dim, dim)."""
+    """Return the gradients d u_i / d x_j (n_elements, dim, dim)."""
     result = np.zeros((len(mesh.elements), mesh.dim, mesh.dim))
     _gradients(mesh.points, mesh.elements, _nodal(mesh, displacement), result)
     return result
@@ -83,7 +83,7 @@ def _gradients(points, elements, u, gradients):
 
 
 def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """Mean hoop strain u_r / r of axisymmetric elements."""
+    """Return the mean hoop strain u_r / r of axisymmetric elements."""
     u = _nodal(mesh, displacement)
     return u[mesh.elements, 0].sum(axis=1) / mesh.points[mesh.elements, 0].sum(axis=1)
 
@@ -109,7 +109,7 @@ class StressData:
     @classmethod
     def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = (), elements: str = "linear"
            ) -> StressData:
-        """From materials (one, or body name -> Elastic) and the initial strains among loads."""
+        """Return the data of materials (one, or body name -> Elastic) and of the initial strains among loads."""
         materials = body_materials(mesh, material)
         kind = [_THIN if isinstance(one, PlaneStress) else _AXISYMMETRIC if is_axisymmetric(one) else _PLAIN
                 for one in materials]
@@ -125,11 +125,11 @@ class StressData:
         return bool((self.kind == _AXISYMMETRIC).any())
 
     def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-        """Stress tensors (n_elements, 3, 3) as of :func:`full_stress`."""
+        """Return the stress tensors (n_elements, 3, 3) as of :func:`full_stress`."""
         return self._stress(mesh, self._elastic(mesh, displacement))
 
     def strains(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-        """Strain tensors (n_elements, 3, 3), initial strains included: through the thickness, and of the hoop, too."""
+        """Return strain tensors (n_elements, 3, 3) with initial strains, through the thickness and of the hoop, too."""
         strain, thin = self._elastic(mesh, displacement), (self.kind == _THIN)[mesh.element_body]
         body, sheet = mesh.element_body[thin], strain[thin]
         strain[thin, 2, 2] = (-self.lame[body] / (2 * self.shear[body]) * (sheet[:, 0, 0] + sheet[:, 1, 1])
@@ -139,7 +139,7 @@ class StressData:
         return strain
 
     def suppressed(self, mesh: MeshArrays) -> float:
-        """Energy of the stresses that suppress the initial strains, N m; of plane bodies that of those in the plane."""
+        """Return the energy of stresses that suppress initial strains, N m; of plane bodies of those in the plane."""
         body, dim = mesh.element_body, 3 if self.axisymmetric else mesh.dim
         lame, shear, volume = self.lame[body, None], self.shear[body, None], element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
@@ -161,7 +161,7 @@ class StressData:
         return float(np.einsum("n,nd,nd->", volume, stress, elastic))
 
     def energy(self, mesh: MeshArrays, displacement: np.ndarray) -> float:
-        """Strain energy, J (plane: J/m)."""
+        """Return the strain energy, J (plane: J/m)."""
         elastic, u = self._elastic(mesh, displacement), _nodal(mesh, displacement)
         if self.smoothed:
             density = np.einsum("nij,nij->n", replace(self, pressure=None)._stress(mesh, elastic), elastic)
@@ -211,7 +211,7 @@ class StressData:
 
 def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
                 ) -> np.ndarray:
-    """Cauchy stress tensors (n_elements, 3, 3) of linear elements, Pa, tension positive, with that out of the plane.
+    """Return Cauchy stresses (n_elements, 3, 3) of linear elements, Pa, tension positive, with that out of the plane.
 
     In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress; the shear stresses out of
     the plane are 0. The displacement is (n_nodes, dim) or (n_dofs,), m; initial strains among the loads carry no
@@ -221,7 +221,7 @@ def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray,
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
-    r"""Equivalent stress :math:`\sqrt{\tfrac32\, s : s}` (n,), Pa, of the full deviator s of tensors (n, 3, 3)."""
+    r"""Return equivalent stresses :math:`\sqrt{\tfrac32\, s : s}` (n,), Pa, of the deviators s of tensors (n, 3, 3)."""
     if np.shape(stress)[1:] != (3, 3):
         raise ValueError(f"stress must have shape (n, 3, 3), as of full_stress, got {np.shape(stress)}")
     deviator = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)

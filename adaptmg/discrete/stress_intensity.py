@@ -70,12 +70,12 @@ class Tip:
     straight: float  # to where the crack turns, or ends, m
 
     def local(self, points: np.ndarray) -> np.ndarray:
-        """Places (...,) of points (..., 2) as complex numbers."""
+        """Return the places (...,) of points (..., 2) as complex numbers."""
         return (points - self.place) @ self.axes.T @ np.array([1.0, 1j])
 
 
 def tip_of(mesh: MeshArrays, crack: str, number: int) -> Tip:
-    """The tip of this number along the path."""
+    """Return the tip of this number along the path."""
     left = mesh.boundary_facets(f"{crack}.left")
     shared = np.intersect1d(left, mesh.boundary_nodes(f"{crack}.right"))
     # where the path begins, then where it ends
@@ -99,8 +99,8 @@ def tip_of(mesh: MeshArrays, crack: str, number: int) -> Tip:
 def stress_intensity(mesh: MeshArrays, displacement: np.ndarray, data: StressData, crack: str, number: int,
                      radius: float | None, nodes: np.ndarray, sides: np.ndarray, forces: np.ndarray,
                      weights: np.ndarray) -> StressIntensity:
-    """The factors at a tip; ``forces`` (n, 2) act on the boundaries ``sides`` (n,) at nodes (n,) in contact, to which
-    so much (n,) of these belongs."""
+    """Return the factors at a tip; ``forces`` (n, 2) act on the boundaries ``sides`` (n,) at nodes (n,) in contact, to
+    which so much (n,) of these belongs."""
     tip, faces = tip_of(mesh, crack, number), [f"{crack}.left", f"{crack}.right"]
     r = np.abs(tip.local(mesh.points))
     # what is not the straight crack stays outside

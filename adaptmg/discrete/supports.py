@@ -18,7 +18,7 @@ _ALONG_AXIS = 1e-9  # of the cosine with an axis or a mean normal; of prescribed
 
 
 def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -> int:
-    """The node at a point; ValueError if there is none, or several bodies have one."""
+    """Return the node at a point; ValueError if there is none, or several bodies have one."""
     text = f"point {tuple(point)}"
     if body is not None and body not in mesh.bodies:
         raise ValueError(f"{text}: body {body!r} does not exist; the bodies are {', '.join(mesh.bodies)}")
@@ -38,7 +38,7 @@ def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -
 
 
 def supported_nodes(mesh: MeshArrays, support: AnySupport) -> np.ndarray:
-    """Nodes (n,) that a support or spring holds."""
+    """Return the nodes (n,) that a support or spring holds."""
     if isinstance(support, PointSupport | PointSpring):
         return np.array([node_at(mesh, support.point, support.body)])
     return mesh.surface(support.boundary).nodes
@@ -54,7 +54,7 @@ class Held(NamedTuple):
 
 
 def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
-    """The directions that supports hold: components, and normals of plane boundaries."""
+    """Return the directions that supports hold: components, and normals of plane boundaries."""
     axes, result = np.eye(mesh.dim), []
     for one in supports:
         components = list(one.components(mesh.dim))
@@ -78,7 +78,7 @@ def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
 
 
 def held_directions(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[str, np.ndarray]:
-    """By boundary the orthonormal directions (k, dim) along which supports hold it."""
+    """Return by boundary the orthonormal directions (k, dim) along which supports hold it."""
     found: dict[str, list[np.ndarray]] = {}
     for one in held_by(mesh, [support for support in supports if support.boundary is not None]):
         found.setdefault(one.support.boundary, []).append(one.direction)
@@ -95,7 +95,7 @@ _PARALLEL = 1e-6  # directions that differ by less count as one
 
 
 def inclined_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> Inclined | None:
-    """The nodes that supports hold along directions that are no axes; ValueError where their values contradict."""
+    """Return the nodes that supports hold along directions other than axes; ValueError where values contradict."""
     held = held_by(mesh, supports)
     if all(one.axis is not None for one in held):
         return None
@@ -122,8 +122,8 @@ def inclined_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> Incli
 
 
 def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.ndarray, np.ndarray]:
-    """Mask (n_dofs,) and values (n_dofs,), m, zero where free, of the prescribed dofs; without those of nodes that
-    supports hold along other directions, see :func:`inclined_supports`.
+    """Return the mask (n_dofs,) and values (n_dofs,), m, zero where free, of the prescribed dofs; without those of
+    nodes that supports hold along other directions, see :func:`inclined_supports`.
 
     Where two supports meet, they must agree or prescribe different components. ValueError for a boundary or point the
     mesh does not have, a z component in 2D, two values for one dof, or functions with values that are not finite.

@@ -35,12 +35,12 @@ class TieForces:
     names: tuple[str, ...]  # of the slave and the master of each tie
 
     def on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes and forces on one boundary."""
+        """Return the nodes and forces on one boundary."""
         own = np.isin(self.boundary, [k for k, name in enumerate(self.names) if name == boundary])
         return self.node[own], self.force[own]
 
     def total(self, n_nodes: int) -> np.ndarray:
-        """Forces (n_nodes, dim) of all ties."""
+        """Return the forces (n_nodes, dim) of all ties."""
         result = np.zeros((n_nodes, self.force.shape[1]))
         np.add.at(result, self.node, self.force)
         return result
@@ -48,8 +48,8 @@ class TieForces:
 
 def tie_interfaces(ties: Sequence[Tied | Periodic], mesh: MeshArrays, held: HeldNodes, axisymmetric: bool
                    ) -> list[MortarInterface]:
-    """The tied slave nodes of each tie. Nodes on several belong to the tie named first; what supports hold in all
-    directions is not tied."""
+    """Return the tied slave nodes of each tie. Nodes on several belong to the tie named first; what supports hold in
+    all directions is not tied."""
     taken = held.fixed.all(axis=1)
     if held.inclined is not None:  # a support that moves such a node prescribes it
         taken[held.inclined.nodes[held.inclined.moving]] = True
@@ -103,13 +103,13 @@ def _periodic(tie: Periodic, mesh: MeshArrays, taken: np.ndarray) -> MortarInter
 
 
 def jump_of(tie: Tied | Periodic, nodes: np.ndarray, held: HeldNodes) -> np.ndarray:
-    """The relative displacement (n, dim) of tied nodes, m, zero along what supports hold."""
+    """Return the relative displacement (n, dim) of tied nodes, m, zero along what supports hold."""
     jump = getattr(tie, "jump", None) or (0.0,) * held.fixed.shape[1]
     return held.free_part(nodes, np.broadcast_to(jump, (len(nodes), len(jump))))
 
 
 def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
-    """The forces of the ties of a problem with the residual A w - b (n_dofs,), N; None without ties."""
+    """Return the forces of the ties of a problem with the residual A w - b (n_dofs,), N; None without ties."""
     if not problem.ties:
         return None
     at, held = residual.reshape(-1, problem.dim), problem.held.reshape(-1, problem.dim)

@@ -60,19 +60,19 @@ class Volumes:
         return sparse.csr_array(self.rows.T)
 
     def forces(self, pressures: np.ndarray) -> np.ndarray:
-        """B'p (n_dofs,), N."""
+        """Return B'p (n_dofs,), N."""
         return self.columns @ pressures
 
     def strains(self, unknowns: np.ndarray) -> np.ndarray:
-        """Mean divergence b u (n_groups,), less that of free expansion."""
+        """Return the mean divergence b u (n_groups,), less that of free expansion."""
         return (self.rows @ unknowns) / self.areas - self.expansion
 
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
-        """b u - p / kappa (n_groups,)."""
+        """Return b u - p / kappa (n_groups,)."""
         return self.strains(unknowns) - self.compliance * pressures
 
     def energy(self, pressures: np.ndarray) -> float:
-        """The sum of A p^2 / kappa, N m."""
+        """Return the sum of A p^2 / kappa, N m."""
         return float(np.einsum("i,i,i,i->", self.areas, self.compliance, pressures, pressures))
 
     @cached_property
@@ -85,27 +85,27 @@ class Volumes:
         return self.rows.shape[1] // self.means.shape[1]
 
     def with_rows(self, rows: sparse.csr_array) -> Volumes:
-        """The same groups in other unknowns."""
+        """Return the same groups in other unknowns."""
         return replace(self, rows=rows)
 
     def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
-        """The same under initial strains (n_elements, 3)."""
+        """Return the same under initial strains (n_elements, 3)."""
         own, size = self.corners >= 0, self.corners.shape[1]
         shares = np.repeat(element_measures(mesh, axisymmetric) * strain.sum(axis=1) / size, size).reshape(own.shape)
         return replace(self, expansion=np.bincount(self.corners[own], shares[own], len(self)) / self.areas)
 
     def at_nodes(self, pressures: np.ndarray) -> np.ndarray:
-        """Pressures (n_nodes,) of the groups of nodes, between bodies their mean; zero where there are none."""
+        """Return pressures (n_nodes,) of the groups of nodes, between bodies their mean; zero where there are none."""
         total = np.asarray(self.means.sum(axis=0)).reshape(-1)
         return np.divide(self.means.T @ pressures, total, out=np.zeros_like(total), where=total > 0)
 
     def of_elements(self, pressures: np.ndarray) -> np.ndarray:
-        """Means (n_elements,) of the pressures at the corners of elements."""
+        """Return the means (n_elements,) of the pressures at the corners of elements."""
         return np.append(pressures, 0.0)[self.corners].mean(axis=1)
 
 
 def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
-    """The groups of all bodies that are nearly incompressible; None if there are none."""
+    """Return the groups of all bodies that are nearly incompressible; None if there are none."""
     materials, dim = body_materials(mesh, material), mesh.dim
     lame, shear = lame_constants(materials)
     kappa = np.where([one.anisotropy is None for one in materials], lame - edge_lame(lame, shear), 0.0)

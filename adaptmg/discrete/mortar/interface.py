@@ -80,7 +80,7 @@ class Surfaces:
                              "corner")
 
     def depths(self, reach: float | None) -> tuple[float, float]:
-        """How far behind and in front of the slave surface the master is looked for, m."""
+        """Return how far behind and in front of the slave surface the master is looked for, m."""
         return (_DEEPEST * self.size, self.size) if reach is None else (reach, reach)
 
 
@@ -89,12 +89,12 @@ def _place(points: np.ndarray, node: int) -> tuple[float, ...]:
 
 
 def cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Cross products (...,) of vectors (..., 2) in the plane."""
+    """Return the cross products (...,) of vectors (..., 2) in the plane."""
     return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
 
 def nothing_covered(covered: np.ndarray, reach: float | None, facet: str) -> str:
-    """Why no slave facet is kept, as text; ``covered`` is how much of each has the master opposite."""
+    """Return why no slave facet is kept, as text; ``covered`` is how much of each has the master opposite."""
     if covered.any():
         return (f"the surfaces face each other only where slave nodes are excluded, or on a sliver of each {facet}; "
                 "take the other surface as slave")
@@ -107,7 +107,7 @@ _SYMMETRY_TILT = np.cos(np.pi / 6)  # normals within 30 degrees of a plane of sy
 
 
 def slave_normals(slave: Surface, held: HeldNodes) -> np.ndarray:
-    """Average normals (n_nodes, dim) without their components along what supports hold, where these are small."""
+    """Return average normals (n_nodes, dim) without components along what supports hold, where these are small."""
     normals, nodes = slave.node_normals.copy(), slave.nodes
     inside = held.free_part(nodes, normals[nodes])
     lengths = np.linalg.norm(inside, axis=1)

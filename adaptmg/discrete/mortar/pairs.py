@@ -38,7 +38,7 @@ _OFFSET = 1e-2  # of the shortest edge at a slave node: how far off its normal i
 
 def pair_interface(mesh: MeshArrays, pair: ContactPair, *, held: HeldNodes, excluded: np.ndarray,
                    axisymmetric: bool) -> MortarInterface:
-    """The interface of a pair."""
+    """Return the interface of a pair."""
     slave, master = mesh.surface(pair.slave), mesh.surface(pair.master)
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
         nothing = sparse.csr_array((0, mesh.n_nodes))

@@ -206,8 +206,8 @@ _BESIDE = 1e-9  # how far outside a master edge, as a fraction of it, a ray may 
 
 @kernel
 def distance_along_normal(points, normals, a, b, y1, y2, s):
-    """Distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1, y2). Infinite if the ray misses
-    the edge, the edge faces away, or rays cross before they reach it."""
+    """Return the distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1, y2). Infinite if the
+    ray misses the edge, the edge faces away, or rays cross before they reach it."""
     ex, ey = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
     dx, dy = normals[b, 0] - normals[a, 0], normals[b, 1] - normals[a, 1]
     nx, ny = normals[a, 0] + s * dx, normals[a, 1] + s * dy

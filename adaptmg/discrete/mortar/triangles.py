@@ -70,21 +70,21 @@ class _Parts:
     corners: np.ndarray  # (n_slave, 3, 3): slave corners in their frame, whose origin is the centroid
 
     def only(self, kept: np.ndarray) -> _Parts:
-        """Some of the parts."""
+        """Return some of the parts."""
         return _Parts(self.slave[kept], self.master[kept], self.moments[kept], self.frames, self.corners)
 
     def areas(self) -> np.ndarray:
-        """Projected area of each slave facet."""
+        """Return the projected area of each slave facet."""
         return 0.5 * cross(self.corners[:, 1, :2] - self.corners[:, 0, :2],
                             self.corners[:, 2, :2] - self.corners[:, 0, :2])
 
     def covered(self) -> np.ndarray:
-        """Covered part of it."""
+        """Return the covered part of each slave facet."""
         return np.bincount(self.slave, self.moments[:, 0], minlength=len(self.frames))
 
     def means(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centroid (n_slave, 2) and covariance (n_slave, 2, 2) of what is covered of slave facets, 0 and 1 if nothing
-        is, and centroids of the parts (n, 2) relative to the first."""
+        """Return the centroid (n_slave, 2) and covariance (n_slave, 2, 2) of what is covered of slave facets, 0 and 1
+        if nothing is, and centroids of the parts (n, 2) relative to the first."""
         share = self.moments[:, 0] / self.covered()[self.slave]
         centroid = self._sum(share[:, None] * self.moments[:, 1:3])
         off = self.moments[:, 1:3] - centroid[self.slave]
@@ -262,9 +262,9 @@ def _local_coordinate(point, frame, origin, a):
 
 @kernel
 def common_moments(slave, frames, origins, corners, start, found, below, above, moments):
-    """Moments of the visible common parts of slave facets and the master facets found for them. A part is dropped if
-    its gap, at its centroid, is outside [-below, above]. Where parts overlap, the one with the gap of smaller
-    magnitude, at the centroid of the overlap, hides the other."""
+    """Compute the moments of the visible common parts of slave facets and the master facets found for them. A part is
+    dropped if its gap, at its centroid, is outside [-below, above]. Where parts overlap, the one with the gap of
+    smaller magnitude, at the centroid of the overlap, hides the other."""
     room = 1
     for s in range(len(slave)):
         room = max(room, start[s + 1] - start[s])
