@@ -34,7 +34,7 @@ SNAP = 1e-13
 
 @kernel
 def common_moments(mu, k, pieces, levels, moments):
-    """Moments of the fine shape functions over the intersection of a fine and a coarse element."""
+    """Compute the moments of the fine shape functions over the intersection of a fine and a coarse element."""
     kk = k * k
     moments[:] = 0.0
     pieces[0, 0] = 1.0
@@ -184,7 +184,7 @@ def _separated_by_edge(polygon, n, window, m, tolerance):
 
 @inner_kernel
 def separated(polygon, n, window, m, tolerance):
-    """Whether an edge of one of two polygons separates them, but for a strip as wide as ``tolerance``."""
+    """Return whether an edge of one of two polygons separates them, but for a strip as wide as ``tolerance``."""
     for c in range(2):
         low, high, window_low, window_high = np.inf, -np.inf, np.inf, -np.inf
         for i in range(n):
@@ -224,7 +224,7 @@ def _add_triangle(moments, polygon, i, j, k):
 
 @kernel
 def polygon_moments(polygon, n, moments):
-    """Moments of a polygon, written to ``moments`` (MOMENTS,): area, centroid, covariance."""
+    """Write the moments of a polygon to ``moments`` (MOMENTS,): area, centroid, covariance."""
     for c in range(MOMENTS):
         moments[c] = 0.0
     for i in range(1, n - 1):
@@ -233,9 +233,9 @@ def polygon_moments(polygon, n, moments):
 
 @kernel
 def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states, piece, moments):
-    """Moments of what is left of a polygon when triangles hide parts of it. Its triangles are cut along the edges of
-    one blocker after the other, depth first: what lies outside an edge goes on to the next blocker, what lies inside
-    all of them is hidden."""
+    """Add the moments of what is left of a polygon when triangles hide parts of it. Its triangles are cut along the
+    edges of one blocker after the other, depth first: what lies outside an edge goes on to the next blocker, what lies
+    inside all of them is hidden."""
     for c in range(MOMENTS):
         moments[c] = 0.0
     depth = _push(polygon, n, 0, 0, stack, states, 0)

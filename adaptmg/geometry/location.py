@@ -68,8 +68,8 @@ _ROUNDING = 4 * np.finfo(np.float64).eps
 
 @kernel
 def affine_maps(first, last, points, elements, maps):
-    """Origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim). Not finite where an
-    element has no volume."""
+    """Compute the origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim). Not finite
+    where an element has no volume."""
     dim = elements.shape[1] - 1
     # the gradients are cross products of the edges; in 2D the third edge is the unit vector along z
     edges = np.empty((3, 3))

@@ -22,8 +22,8 @@ _TERMS = 256
 
 @inner_kernel
 def turn(points, a, b, c):
-    """Positive where c lies to the left of the line from a to b, zero on it. Nodes are int64, here and below: kernels
-    are compiled again for other integers."""
+    """Return a number that is positive where c lies to the left of the line from a to b, zero on it. Nodes are int64,
+    here and below: kernels are compiled again for other integers."""
     left = (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1])
     right = (points[b, 1] - points[a, 1]) * (points[c, 0] - points[a, 0])
     value = left - right
@@ -34,7 +34,7 @@ def turn(points, a, b, c):
 
 @inner_kernel
 def in_circle(points, a, b, c, d):
-    """Positive where d lies inside the circle through a, b, c, zero on it."""
+    """Return a number that is positive where d lies inside the circle through a, b, c, zero on it."""
     x, y, z, w = (points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[c, 0] - points[a, 0],
                   points[c, 1] - points[a, 1])
     p, q, r, s = (points[b, 0] - points[d, 0], points[b, 1] - points[d, 1], points[c, 0] - points[d, 0],

@@ -27,7 +27,7 @@ STACK = 128
 
 @inner_kernel
 def leaf_range(node, n_leaves, n_simplices):
-    """First and past-the-last position of the simplices in a leaf, given its node number."""
+    """Return the first and past-the-last position of the simplices in a leaf, given its node number."""
     leaf = node - (n_leaves - 1)
     return leaf * n_simplices // n_leaves, (leaf + 1) * n_simplices // n_leaves
 
@@ -122,7 +122,7 @@ def _box_distance(boxes, node, x, dim):
 
 @inner_kernel
 def nearest_simplex(x, points, simplices, boxes, dim, weights, trial, candidate, stack):
-    """Position of the simplex nearest to ``x`` (3,), its squared distance; writes the weights of the closest point."""
+    """Find position and squared distance of the simplex nearest to ``x`` (3,); write weights of the closest point."""
     n, k = simplices.shape
     n_leaves = (len(boxes) + 1) // 2
     best, best_distance = -1, np.inf
@@ -191,8 +191,8 @@ def _simplex_meets_turned(points, corners, frame, origin, low, high):
 
 @kernel
 def meet_turned(frames, origins, low, high, boxes, points, simplices, start, fill, found):
-    """Simplices that meet turned boxes: extents ``low`` .. ``high`` (n, dim) along the rows of ``frames``. Counts those
-    of box s to ``start[s + 1]`` or, with ``fill``, writes their positions from ``found[start[s]]`` on."""
+    """Find the simplices that meet turned boxes: extents ``low`` .. ``high`` (n, dim) along the rows of ``frames``.
+    Counts those of box s to ``start[s + 1]`` or, with ``fill``, writes their positions from ``found[start[s]]`` on."""
     n_leaves = (len(boxes) + 1) // 2
     stack = np.empty(STACK, dtype=np.int64)
     for s in range(len(frames)):
@@ -340,8 +340,8 @@ def _squared_distance(points, corners, weights, x):
 
 @inner_kernel
 def closest_on_simplex(points, corners, x, weights, trial):
-    """Weights (k,) of the point of the simplex ``corners`` (k,), k = 2, 3, 4, closest to ``x`` (3,). ``trial`` (k,) is
-    scratch. Returns the squared distance."""
+    """Compute the weights (k,) of the point of the simplex ``corners`` (k,), k = 2, 3, 4, closest to ``x`` (3,).
+    ``trial`` (k,) is scratch. Returns the squared distance."""
     k = len(corners)
     if k == 2:
         weights[1] = _on_segment(points, corners[0], corners[1], x)

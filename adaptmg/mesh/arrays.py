@@ -188,13 +188,13 @@ class MeshArrays:
         return len(self.points)
 
     def boundary_facets(self, boundary: str) -> np.ndarray:
-        """Facets (n, dim) of a named boundary; ValueError if there is no such boundary."""
+        """Return the facets (n, dim) of a named boundary; ValueError if there is no such boundary."""
         if boundary not in self.boundaries:
             raise ValueError(f"boundary {boundary!r} does not exist; the boundaries are {', '.join(self.boundaries)}")
         return self.facets[self.facet_labels == self.boundaries.index(boundary)]
 
     def boundary_nodes(self, boundary: str) -> np.ndarray:
-        """Sorted node numbers of a named boundary."""
+        """Return the sorted node numbers of a named boundary."""
         return np.unique(self.boundary_facets(boundary))
 
     def surface(self, boundary: str) -> Surface:
@@ -275,18 +275,18 @@ class Surface:
         return total
 
     def shares(self, axisymmetric: bool) -> np.ndarray:
-        """Means (n, dim) of the shape functions of the corners over each facet; in axisymmetry times 2 pi r."""
+        """Return means (n, dim) of the shape functions of the corners over each facet; in axisymmetry times 2 pi r."""
         if not axisymmetric:
             return np.full(self.facets.shape, 1.0 / self.points.shape[1])
         r = self.points[self.facets, 0]
         return 2 * np.pi * (r + r.sum(axis=1, keepdims=True)) / 6
 
     def shape_integrals(self, axisymmetric: bool) -> np.ndarray:
-        """Integrals (n, dim) of the same."""
+        """Return the integrals (n, dim) of the same."""
         return self.measures[:, None] * self.shares(axisymmetric)
 
     def lumped(self, axisymmetric: bool) -> np.ndarray:
-        """Integrals (n_nodes,) of the shape functions of all nodes."""
+        """Return the integrals (n_nodes,) of the shape functions of all nodes."""
         return np.bincount(self.facets.ravel(), weights=self.shape_integrals(axisymmetric).ravel(),
                            minlength=len(self.points))
 
@@ -324,7 +324,7 @@ def _measures_of_part(first: int, last: int, points: np.ndarray, elements: np.nd
 
 
 def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
-    """Signed areas or volumes (n,) of some simplices."""
+    """Return the signed areas or volumes (n,) of some simplices."""
     first, *rest = (points[nodes].T for nodes in elements.T)
     edges = [corner - first for corner in rest]
     if len(edges) == 2:
@@ -335,20 +335,20 @@ def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 
 def positive(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
-    """The simplices with their last two corners exchanged where they are turned over."""
+    """Return the simplices with their last two corners exchanged where they are turned over."""
     negative, elements = signed_measures(points, elements) < 0, np.array(elements)
     elements[negative, -2:] = elements[negative, :-3:-1]
     return elements
 
 
 def longest_edges(corners: np.ndarray) -> np.ndarray:
-    """Longest edge (n,) of each of some simplices, given by their corners (n, dim + 1, dim)."""
+    """Return the longest edge (n,) of each of some simplices, given by their corners (n, dim + 1, dim)."""
     k = corners.shape[1]
     return np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)], axis=0)
 
 
 def trusted(mesh: MeshArrays, source: ngsolve.Mesh | OnDemand | None, sound: bool = True) -> MeshArrays:
-    """The same arrays, not copied, as a mesh that is known to be sound, with another source."""
+    """Return the same arrays, not copied, as a mesh that is known to be sound, with another source."""
     result = object.__new__(MeshArrays)
     result.__dict__.update(mesh.__dict__)
     result.__dict__.update(source=source, sound=sound)
@@ -356,8 +356,8 @@ def trusted(mesh: MeshArrays, source: ngsolve.Mesh | OnDemand | None, sound: boo
 
 
 def swept(mesh: MeshArrays) -> MeshArrays:
-    """The same sound mesh with its nodes in the order of the longest side of its bounding box, elements in that of
-    their first nodes. Gauss-Seidel takes a fifth more cycles in the order that refinement leaves behind, where new
+    """Return the same sound mesh with its nodes in the order of the longest side of its bounding box, elements in that
+    of their first nodes. Gauss-Seidel takes a fifth more cycles in the order that refinement leaves behind, where new
     nodes come last, and where bodies come one after the other."""
     order = np.argsort(mesh.points[:, np.argmax(np.ptp(mesh.points, axis=0))], kind="stable")
     number = np.empty(len(order), dtype=np.int32)
@@ -370,7 +370,7 @@ def swept(mesh: MeshArrays) -> MeshArrays:
 
 
 def sound_by_construction(mesh: MeshArrays, lattices: Iterable[Lattice] = ()) -> MeshArrays:
-    """The mesh, not checked (it was written down as it must be), with a source on demand."""
+    """Return the mesh, not checked (it was written down as it must be), with a source on demand."""
     result = trusted(mesh, OnDemand(_ngsolve_mesh))
     object.__setattr__(result, "lattices", tuple(lattices))
     return result
@@ -435,18 +435,18 @@ class FacetTable:
     folded: np.ndarray  # (n,) bool: both elements lie on the same side
 
     def find(self, keys: np.ndarray) -> np.ndarray:
-        """Rows of this table that hold ``keys``, -1 where there is no such facet."""
+        """Return the rows of this table that hold ``keys``, -1 where there is no such facet."""
         row = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
         return np.where(self.keys[row] == keys, row, -1)
 
 
 def element_facets(elements: np.ndarray) -> np.ndarray:
-    """Facets (n_elements, dim + 1, dim) of positively oriented elements, outward, facet k opposite node k."""
+    """Return facets (n_elements, dim + 1, dim) of positively oriented elements, outward, facet k opposite node k."""
     return elements[:, OPPOSITE[elements.shape[1] - 1]]
 
 
 def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
-    """One integer a facet, the same for every order of its nodes."""
+    """Return one integer a facet, the same for every order of its nodes."""
     dim = facets.shape[1]
     if n_nodes > MOST_NODES[dim]:
         raise ValueError(f"a {dim}D mesh may have at most {MOST_NODES[dim]} nodes, got {n_nodes}")
@@ -458,7 +458,7 @@ def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
 
 
 def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
-    """All distinct facets of a mesh."""
+    """Return all distinct facets of a mesh."""
     dim = elements.shape[1] - 1
     facets = element_facets(elements).reshape(-1, dim)
     keys = facet_keys(facets, n_nodes)
@@ -477,14 +477,14 @@ def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
 
 
 def same_orientation(facets: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Whether facets of the same nodes also have the same orientation (n,)."""
+    """Return whether facets of the same nodes also have the same orientation (n,)."""
     if facets.shape[1] == 2:
         return (facets == others).all(axis=1)
     return np.any([(facets == np.roll(others, k, axis=1)).all(axis=1) for k in range(3)], axis=0)
 
 
 def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
-    """Connected parts of a mesh: elements of one body that hang together through facets."""
+    """Return the connected parts of a mesh: elements of one body that hang together through facets."""
     inner = table.second >= 0
     a, b = table.first[inner], table.second[inner]
     same = element_body[a] == element_body[b]
@@ -495,7 +495,7 @@ def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
 
 def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_index: np.ndarray,
                facet_names: Sequence[str], body_index: np.ndarray, body_names: Sequence[str]) -> MeshArrays:
-    """The MeshArrays of tables as files hold them: orientations set right, facets inside and unused nodes dropped."""
+    """Make MeshArrays of tables as files hold them: orientations set right, facets inside and unused nodes dropped."""
     if len(elements) == 0:
         raise ValueError("the mesh has no elements")
     for name, array in (("elements", elements), ("facets", facets)):

@@ -25,9 +25,9 @@ class Untriangulated(ValueError):
 
 
 def of_boundary(places: np.ndarray, edges: np.ndarray, spread: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangles inside a boundary of directed edges (n, 2), their neighbours, and which edges are among theirs. If
-    ``spread``, every second node comes last, and so on: one after the other around a thin ring each would swap all the
-    edges across it."""
+    """Return the triangles inside a boundary of directed edges (n, 2), their neighbours, and which edges are among
+    theirs. If ``spread``, every second node comes last, and so on: one after the other around a thin ring each would
+    swap all the edges across it."""
     n = len(places)
     low, high = places.min(axis=0), places.max(axis=0)
     corners = 0.5 * (low + high) + 5 * (high - low).max() * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0],
@@ -62,8 +62,8 @@ def of_boundary(places: np.ndarray, edges: np.ndarray, spread: bool) -> tuple[np
 
 @inner_kernel
 def walk(points, elements, across, e, p):
-    """The triangle that holds node p, on the straight way from triangle e; -1 if that leaves the mesh. In a Delaunay
-    triangulation no triangle comes twice: the power of p with respect to their circles falls."""
+    """Return the triangle that holds node p, on the straight way from triangle e; -1 if that leaves the mesh. In a
+    Delaunay triangulation no triangle comes twice: the power of p with respect to their circles falls."""
     for _ in range(len(elements)):
         worst, side = 0.0, -1
         for k in range(3):

@@ -14,7 +14,7 @@ BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "
 
 
 def in_edges(domain: Domain) -> Domain:
-    """A plane domain as the outline that is meshed; every other domain itself; TypeError for what is none."""
+    """Return a plane domain as the outline that is meshed; every other domain itself; TypeError for what is none."""
     if isinstance(domain, Box | StepFile | Assembly) or (isinstance(domain, SolidDomain) and domain.dim == 3):
         return domain
     if not isinstance(domain, Domain):
@@ -24,7 +24,7 @@ def in_edges(domain: Domain) -> Domain:
 
 
 def distance_to_boundaries(domain: Domain, boundaries: Sequence[str], points: np.ndarray) -> np.ndarray:
-    """Distance of points to the nearest of some boundaries of a plane domain or a box."""
+    """Return the distance of points to the nearest of some boundaries of a plane domain or a box."""
     domain, distance = in_edges(domain), np.full(len(points), np.inf)
     for i, name in enumerate(domain.boundaries):
         if name in boundaries and isinstance(domain, Box):
@@ -36,12 +36,12 @@ def distance_to_boundaries(domain: Domain, boundaries: Sequence[str], points: np
 
 
 def extent(domain: Domain) -> tuple[np.ndarray, float]:
-    """Lowest corner and largest side of the bounding box."""
+    """Return the lowest corner and largest side of the bounding box."""
     return domain.lower, float((domain.upper - domain.lower).max())
 
 
 def boundary_measures(domain: Outline | Box) -> tuple[float, dict[str, float]]:
-    """Exact area or volume of a domain, and the lengths or areas of its boundaries by name."""
+    """Return the exact area or volume of a domain, and the lengths or areas of its boundaries by name."""
     if isinstance(domain, Box):
         lengths = domain.upper - domain.lower
         volume = float(np.prod(lengths))

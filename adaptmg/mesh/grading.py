@@ -297,7 +297,7 @@ def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArra
 
 
 def gradings_of(sizes: Sequence[float | Mapping[str, float]], coarsest: float) -> list[float | dict[str, float]]:
-    """Gradings of levels, coarse to fine, which make their size fields multiples of the first."""
+    """Return the gradings of levels, coarse to fine, which make their size fields multiples of the first."""
     def of(size: float, first: float) -> float:
         # levels whose sizes rise are refused once they are meshed
         return coarsest * min(checks.positive("size", size) / checks.positive("size", first), 1.0)
@@ -310,7 +310,7 @@ def gradings_of(sizes: Sequence[float | Mapping[str, float]], coarsest: float) -
 
 
 def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[float, ...], float]:
-    """Sizes, coarse to fine, m, that follow the bodies, and a contact ratio by the shortest of some boundaries."""
+    """Return sizes, coarse to fine, m, that follow bodies, and a contact ratio by the shortest of some boundaries."""
     volumes, lengths = measures(domain)
     across = (sum(volumes) / len(volumes))**(1 / domain.dim)
     sizes = tuple(float(f"{across / count:.2g}") for count in _ACROSS[domain.dim])
@@ -319,7 +319,7 @@ def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[flo
 
 
 def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
-    """Area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of each boundary by its name."""
+    """Return the area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of each boundary."""
     domain = in_edges(domain)
     if isinstance(domain, Assembly):
         found = {body: measures(part) for body, part in domain.parts.items()}

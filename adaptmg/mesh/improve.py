@@ -26,7 +26,7 @@ from adaptmg.mesh.arrays import MeshArrays, trusted
 
 @kernel
 def cells_around(elements, n_nodes):
-    """Compressed rows of corners, as ``corners * element + corner``."""
+    """Return compressed rows of corners, as ``corners * element + corner``."""
     start = np.empty(n_nodes + 1, dtype=np.int64)
     for i in range(n_nodes + 1):
         start[i] = 0
@@ -109,7 +109,7 @@ def _inside(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
 
 
 def halved(mesh: MeshArrays) -> MeshArrays:
-    """The mesh with every edge cut in two."""
+    """Return the mesh with every edge cut in two."""
     dim, n = mesh.dim, mesh.n_nodes
     ends = _EDGES[dim]
     numbers = np.empty((len(mesh.elements), len(ends)), dtype=np.int32)
@@ -134,7 +134,7 @@ def halved(mesh: MeshArrays) -> MeshArrays:
 
 
 def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
-    """Better shaped elements, of about the same sizes."""
+    """Return the mesh with better shaped elements, of about the same sizes."""
     held = np.zeros(mesh.n_nodes, dtype=bool)
     held[mesh.facets] = True
     if mesh.dim == 2:
@@ -244,7 +244,7 @@ def _move_nodes_3d(points, cells, start, items, held, kept, begin, end):
 
 
 def moved_tetrahedra(points: np.ndarray, elements: np.ndarray, held: np.ndarray, rounds: int) -> np.ndarray:
-    """Places of the nodes after some rounds."""
+    """Return the places of the nodes after some rounds."""
     result = np.array(points)
     start, items = cells_around(elements, len(points))
     for _ in range(rounds):
@@ -273,7 +273,7 @@ def _across(elements, start, items, across):
 
 @inner_kernel
 def replace_neighbour(across, e, old, new):
-    """The neighbour ``old`` of an element is now another one."""
+    """Replace the neighbour ``old`` of an element by another one."""
     if e >= 0:
         for k in range(3):
             if across[e, k] == old:
@@ -283,7 +283,7 @@ def replace_neighbour(across, e, old, new):
 
 @inner_kernel
 def opposite(elements, e, a, b):
-    """Which corner of an element is neither a nor b."""
+    """Return which corner of an element is neither a nor b."""
     for k in range(2):
         if elements[e, k] != a and elements[e, k] != b:
             return k
@@ -374,7 +374,7 @@ def _move_nodes_2d(points, elements, start, items, held, kept, begin, end):
 
 def improved_triangles(points: np.ndarray, elements: np.ndarray, held: np.ndarray, rounds: int
                        ) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles on the same nodes, these moved, after some rounds of swaps and moves."""
+    """Return triangles on the same nodes, these moved, after some rounds of swaps and moves."""
     points, elements = np.array(points), np.array(elements, dtype=np.int32)
     around = cells_around(elements, len(points))
     across = np.full(elements.shape, -1, dtype=np.int32)

@@ -40,7 +40,7 @@ class NetgenUnfinished(NetgenFails):
 
 
 def meshing_limit(nodes: float, dim: int) -> float:
-    """Seconds that Netgen may take for about ``nodes`` nodes."""
+    """Return the seconds that Netgen may take for about ``nodes`` nodes."""
     return LIMIT_S[dim] + _NODE_LIMIT_S[dim] * nodes
 
 
@@ -99,7 +99,7 @@ class Netgen:
 
 @contextmanager
 def netgen() -> Iterator[Netgen]:
-    """A process that nobody else uses meanwhile: what a call leaves in it is there for the next."""
+    """Yield a process that nobody else uses meanwhile: what a call leaves in it is there for the next."""
     idle = _idle.setdefault(os.getpid(), [])
     worker = idle.pop() if idle else None
     if worker is None or not worker.alive:

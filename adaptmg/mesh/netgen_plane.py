@@ -43,7 +43,7 @@ NODES_PER_CELL = {2: 1.15, 3: 1.4}
 
 def netgen_mesh(domain: Outline, sizes: SizeField | Sequence[SizeField], max_size: float, side_sizes: dict[str, float],
                 grading: float, rounds: int) -> MeshArrays:
-    """A mesh by a size field, or by one a round, not checked."""
+    """Return a mesh by a size field, or by one a round, not checked."""
     lower, scale = extent(domain)
     nodes = refuse_too_many(guessed_nodes(domain, max_size, side_sizes, grading), domain)
     sides = {name: h / scale for name, h in side_sizes.items()}
@@ -76,7 +76,7 @@ def netgen_mesh(domain: Outline, sizes: SizeField | Sequence[SizeField], max_siz
 
 
 def growth(value: float) -> float:
-    """A checked grading."""
+    """Return a checked grading."""
     grading = checks.positive("grading", value)
     if not grading <= 1:
         raise ValueError(f"grading must be at most 1, got {value!r}")
@@ -84,7 +84,7 @@ def growth(value: float) -> float:
 
 
 def sizes_at(function: float | SizeField, points: np.ndarray) -> np.ndarray:
-    """Values (n,) of a size function; ValueError unless they are positive."""
+    """Return the values (n,) of a size function; ValueError unless they are positive."""
     values = checks.field("size_function", function, points)
     if not (values > 0).all():
         i = int(np.argmin(values))
@@ -93,13 +93,13 @@ def sizes_at(function: float | SizeField, points: np.ndarray) -> np.ndarray:
 
 
 def expected_nodes(mesh: MeshArrays, sizes: np.ndarray) -> float:
-    """About how many nodes a mesh with ``sizes`` (n_elements,) on the elements of ``mesh`` has."""
+    """Return about how many nodes a mesh with ``sizes`` (n_elements,) on the elements of ``mesh`` has."""
     with np.errstate(divide="ignore"):
         return NODES_PER_CELL[mesh.dim] * float(np.sum(mesh.volumes / sizes**mesh.dim))
 
 
 def refuse_too_many(nodes: float, domain: Domain) -> float:
-    """The number of nodes expected; ValueError if it is more than Netgen makes in reasonable time and memory."""
+    """Return the number of nodes expected; ValueError if it is more than Netgen makes in reasonable time and memory."""
     limit = MAX_NODES[domain.dim]
     if not nodes <= limit:
         raise ValueError(f"the sizes ask for about {nodes:.1g} nodes (at most {limit:.0e}) on {domain!r}; "
@@ -108,7 +108,7 @@ def refuse_too_many(nodes: float, domain: Domain) -> float:
 
 
 def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float], grading: float) -> float:
-    """Expected nodes from the sizes along the sides alone: the integral of (h + grading x)^-dim over x > 0."""
+    """Return the number of nodes by sizes along the sides alone: the integral of (h + grading x)^-dim over x > 0."""
     volume, areas = boundary_measures(domain)
     with np.errstate(over="ignore", divide="ignore"):
         cells = volume * np.float64(1 / max_size) ** domain.dim
@@ -118,16 +118,16 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
 
 
 def netgen_error(domain: Domain, why: Exception) -> ValueError:
-    """The error that names the domain and the remedy."""
+    """Return the error that names the domain and the remedy."""
     if isinstance(why, NetgenUnfinished):
         return NetgenUnfinished(f"Netgen could not mesh {domain!r}: {why}")
     return ValueError(f"Netgen could not mesh {domain!r} ({why}); change the sizes a little or take a smaller grading")
 
 
 def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarray]:
-    """Mask of the elements to bisect, by their own size or that of a boundary facet; the field at their centroids. A
-    size is the edge of the equilateral simplex of the same measure: refinement halves it, unlike the longest edge.
-    Facets are looked at as well because centroids lie off the boundary."""
+    """Return the mask of the elements to bisect, by their own size or that of a boundary facet; the field at their
+    centroids. A size is the edge of the equilateral simplex of the same measure: refinement halves it, unlike the
+    longest edge. Facets are looked at as well because centroids lie off the boundary."""
     sizes = field(mesh.points[mesh.elements].mean(axis=1))
     large = equilateral_sizes(mesh.points, mesh.elements) > _TOO_LARGE * sizes
     facets_large = (equilateral_sizes(mesh.points, mesh.facets)
@@ -137,7 +137,7 @@ def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarra
 
 
 def facet_elements(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
-    """The elements that some boundary facets (n, dim) belong to."""
+    """Return the elements that some boundary facets (n, dim) belong to."""
     if not len(facets):
         return np.empty(0, dtype=np.int64)
     on = np.zeros(mesh.n_nodes, dtype=bool)
@@ -149,7 +149,7 @@ def facet_elements(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
 
 @kernel
 def equilateral_sizes(points, cells):
-    """Edge length (n,) of the equilateral simplices with the same measures as some with the corners ``cells``."""
+    """Return the edge length (n,) of equilateral simplices with the same measures as those with corners ``cells``."""
     result = np.empty(len(cells))
     k = cells.shape[1]
     for i in range(len(cells)):
@@ -172,7 +172,7 @@ def equilateral_sizes(points, cells):
 
 
 def unreachable(domain: Domain, large: np.ndarray) -> ValueError:
-    """The error where bisection does not reach a size field."""
+    """Return the error where bisection does not reach a size field."""
     return ValueError(f"the size field cannot be reached: after {MAX_BISECTIONS} bisections {large.sum()} elements of "
                       f"{domain!r} are still too large; does it tend to zero at a point?")
 
@@ -197,7 +197,7 @@ def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
 
 
 def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
-    """The mesh with the names of the domain's boundaries in place of edge numbers, checked, with source."""
+    """Return the mesh with the names of the domain's boundaries in place of edge numbers, checked, with source."""
     mesh, names = swept(check_mesh(mesh)), tuple(dict.fromkeys(domain.boundaries))
     if (flat := float((mesh.volumes / mesh.element_sizes**2).min())) < _FLAT:
         warnings.warn(f"triangles are up to {0.5 / flat:.0f} times as long as high: {domain!r} is thin or has a sharp "

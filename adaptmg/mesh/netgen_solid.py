@@ -94,7 +94,7 @@ class SolidSizes:
         object.__setattr__(self, "boundaries", sizes)
 
     def drafts(self, factor: float, slower: float) -> SolidSizes:
-        """The sizes of a draft, ``factor`` times as large."""
+        """Return the sizes of a draft, ``factor`` times as large."""
         function = self.function
         return replace(self, size=factor * self.size, grading=slower * min(factor * self.grading, _MAX_GRADING),
                        boundaries={name: factor * h for name, h in self.boundaries.items()},
@@ -102,7 +102,7 @@ class SolidSizes:
 
     def field(self, points: np.ndarray, mesh: MeshArrays, groups: Mapping[str, list[str]], floor: float = 0.0
               ) -> np.ndarray:
-        """Edge lengths (n,) at points (n, 3)."""
+        """Return the edge lengths (n,) at points (n, 3)."""
         from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
         result = np.full(len(points), self.size)
@@ -216,7 +216,7 @@ def _two_faced(domain: Cracked, shape: Shape) -> Shape:
 
 
 def curved_nodes(domain: Domain, size: float, curvature: float) -> float:
-    """Nodes that round faces ask for, whose edges are at most their radius over ``curvature``."""
+    """Return the number of nodes that round faces ask for, whose edges are at most their radius over ``curvature``."""
     if isinstance(domain, Combination):
         return curved_nodes(domain.a, size, curvature) + curved_nodes(domain.b, size, curvature)
     if isinstance(domain, Moved | Cracked):
@@ -349,7 +349,7 @@ def _placed(unit: MeshArrays, shape: Shape) -> MeshArrays:
 
 
 def in_metres(unit: MeshArrays, shape: Shape) -> MeshArrays:
-    """The mesh in m, its faces (called by their numbers so far) with their names; without source."""
+    """Return the mesh in m, its faces (called by their numbers so far) with their names; without source."""
     mesh = _in_planes(_placed(unit, shape))
     order = tuple(dict.fromkeys(shape.names))
     faces = np.array([order.index(shape.names[int(face)]) for face in mesh.boundaries])
@@ -371,14 +371,14 @@ def _in_planes(mesh: MeshArrays) -> MeshArrays:
 
 
 def ordered(domain: SolidDomain | Box, mesh: MeshArrays) -> MeshArrays:
-    """The checked mesh with its boundaries in the order of the domain."""
+    """Return the checked mesh with its boundaries in the order of the domain."""
     order = tuple(name for name in domain.boundaries if name in mesh.boundaries)
     labels = np.array([order.index(name) for name in mesh.boundaries])[mesh.facet_labels]
     return swept(check_mesh(trusted(replace(mesh, facet_labels=labels, boundaries=order), None, mesh.sound)))
 
 
 def check_volume(mesh: MeshArrays, volume: float) -> None:
-    """NetgenFails unless the volume is right but for the chords of curved faces."""
+    """Raise NetgenFails unless the volume is right but for the chords of curved faces."""
     bound, meshed = _left_by_chords(mesh) + 1e-5 * volume, float(mesh.volumes.sum())
     if not abs(meshed - volume) <= bound:
         raise NetgenFails(f"the mesh fills {meshed / volume:.6g} of the volume, chords explain a deviation of "

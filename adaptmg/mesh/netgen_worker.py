@@ -66,7 +66,7 @@ class _Held:
 
 def tables(mesh: netgen.meshing.Mesh, boundaries: Sequence[str] | None = None, bodies: Sequence[str] | None = None
            ) -> Tables:
-    """Copies of the tables of a mesh: points, elements, facets, labels, their names, body of each element, names."""
+    """Copy the tables of a mesh: points, elements, facets, labels, their names, body of each element, names."""
     dim = mesh.dim
     if dim not in (2, 3):
         raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
@@ -182,8 +182,8 @@ ShapeTables = tuple[list[str], list[float], float, np.ndarray, list[np.ndarray],
 
 
 def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> ShapeTables:
-    """OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces, volume, bounding box,
-    samples of its surfaces. OCC compares lengths with absolute tolerances of 1e-7: all is built near unit size."""
+    """Return OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces, volume, bounding
+    box, samples of its surfaces. OCC compares lengths with absolute tolerances of 1e-7: all is built near unit size."""
     shape = _shape(domain, origin, scale)
     if len(shape.solids) != 1:
         what = "nothing" if len(shape.solids) == 0 else f"{len(shape.solids)} pieces"
@@ -197,8 +197,8 @@ def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> 
 
 
 def read_step(path: str) -> list[tuple[str, str, list[str]]]:
-    """Of each solid of a STEP file the name of its product, its own name and those of its faces, "" where there is
-    none. A product of several solids names none of them."""
+    """Return of each solid of a STEP file the name of its product, its own name and those of its faces, "" where there
+    is none. A product of several solids names none of them."""
     geometry = OCCGeometry(path)
     _Held.solids = list(geometry.solids)
     products: dict[Solid, str] = {}
@@ -246,7 +246,7 @@ def choose_solids(numbers: Sequence[int]) -> None:
 
 
 def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, outward triangles and the face of each, of a surface mesh of the shape of the last request."""
+    """Return points, outward triangles and the face of each, of a surface mesh of the shape of the last request."""
     mesh = OCCGeometry(_Held.shape).GenerateMesh(maxh=size, perfstepsend=netgen.meshing.MeshingStep.MESHSURFACE)
     found = mesh.Elements2D().NumPy()
     return (np.array(mesh.Coordinates()), found["nodes"][:, :3].astype(np.int64) - 1,
@@ -254,13 +254,13 @@ def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def face_distances(number: int, face: int, points: np.ndarray) -> np.ndarray:
-    """Distances of points from a face of a solid of the last STEP file."""
+    """Return the distances of points from a face of a solid of the last STEP file."""
     shape = list(_Held.solids[number].faces)[face]
     return np.array([occ.Vertex(Pnt(*point)).Distance(shape) for point in points.tolist()])
 
 
 def step_shape(number: int) -> tuple[ShapeTables, np.ndarray, float]:
-    """The tables of a solid of the last STEP file at unit size; the place of its origin and its unit in the file."""
+    """Return the tables of a solid of the last STEP file at unit size, and its origin and its unit in the file."""
     solid = _Held.solids[number]
     lower, upper = (np.array(_place(p)) for p in solid.bounding_box)
     scale = float((upper - lower).max())
@@ -388,7 +388,7 @@ def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoD
 
 
 def read_vol(path: str) -> Tables:
-    """The tables of a mesh file of Netgen."""
+    """Return the tables of a mesh file of Netgen."""
     mesh = netgen.meshing.Mesh()
     mesh.Load(path)
     dim, mesh.dim = mesh.dim, 3
@@ -404,7 +404,7 @@ MeshioTables = tuple[np.ndarray, list, list[str], dict, dict]
 
 
 def read_meshio(path: str) -> MeshioTables:
-    """Points, cells (kind, nodes, body), bodies, faces and sets of nodes of a file that meshio reads."""
+    """Return points, cells (kind, nodes, body), bodies, faces and sets of nodes of a file that meshio reads."""
     import meshio
 
     try:

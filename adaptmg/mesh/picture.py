@@ -9,7 +9,7 @@ _SIZE, _MANY, _VIEW = 480, 20_000, np.array([[0.87, -0.25], [-0.5, -0.43], [0.0,
 
 
 def svg(points: np.ndarray, elements: np.ndarray, facets: np.ndarray) -> str | None:
-    """The edges of a plane mesh, or those on the surface of a solid one; None where they are too many."""
+    """Return the edges of a plane mesh, or those on the surface of a solid one; None where they are too many."""
     dim = points.shape[1]
     cells = elements if dim == 2 and len(elements) <= _MANY else facets
     ends = np.concatenate([cells[:, [a, b]] for a in range(cells.shape[1]) for b in range(a)])

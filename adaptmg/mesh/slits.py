@@ -24,8 +24,8 @@ from adaptmg.mesh.soundness import check_mesh, with_source
 
 def opened(elements: np.ndarray, facets: np.ndarray, n_nodes: int
            ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Elements and facets whose nodes are doubled along facets that stand twice; which of the facets are open; and the
-    old node that each new one comes from. ValueError where such a facet is not inside the mesh."""
+    """Return the elements and facets whose nodes are doubled along facets that stand twice; which of the facets are
+    open; and the old node that each new one comes from. ValueError where such a facet is not inside the mesh."""
     keys = facet_keys(facets, n_nodes)
     slit, counts = np.unique(keys, return_counts=True)
     slit = slit[counts > 1]
@@ -65,8 +65,8 @@ def opened(elements: np.ndarray, facets: np.ndarray, n_nodes: int
 def opened_tables(right: Mapping[int, str], normals: Mapping[int, np.ndarray], points: np.ndarray, elements: np.ndarray,
                   facets: np.ndarray, labels: np.ndarray, names: Sequence[str], body: np.ndarray, bodies: Sequence[str]
                   ) -> tuple:
-    """Netgen's tables with cracks opened: ``right`` names the right face of each label of a left one, whose outward
-    normals point along ``normals``. Facets that would stay closed are cut at their middles first."""
+    """Return Netgen's tables with cracks opened: ``right`` names the right face of each label of a left one, whose
+    outward normals point along ``normals``. Facets that would stay closed are cut at their middles first."""
     elements = positive(points, elements)
     crack = np.isin(labels, list(right))
     at = np.flatnonzero(crack)

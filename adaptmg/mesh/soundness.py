@@ -70,7 +70,7 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
 
 
 def with_source(mesh: MeshArrays) -> MeshArrays:
-    """The checked mesh with an ``ngsolve.Mesh`` of the same node and element numbers as its ``source``.
+    """Return the checked mesh with an ``ngsolve.Mesh`` of the same node and element numbers as its ``source``.
 
     The source is built when it is first read; one that is there is replaced.
     """
@@ -78,7 +78,7 @@ def with_source(mesh: MeshArrays) -> MeshArrays:
 
 
 def check_stranger(mesh: MeshArrays) -> MeshArrays:
-    """The same for a mesh that was not made here: none of its bodies lies over itself either."""
+    """Return the same for a mesh that was not made here: none of its bodies lies over itself either."""
     return check_overlap(with_source(mesh))
 
 
@@ -204,7 +204,7 @@ def _angles(points: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def least_angle(points: np.ndarray, elements: np.ndarray) -> float:
-    """The smallest angle between facets of some elements, degrees; 0 where one is turned over."""
+    """Return the smallest angle between facets of some elements, degrees; 0 where one is turned over."""
     if not (signed_measures(points, elements) > _FLAT * longest_edges(points[elements])**points.shape[1]).all():
         return 0.0
     return float(_angles(points, elements)[0].min(initial=180.0))
@@ -256,7 +256,7 @@ def _turns(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
 
 
 def overlapping_bodies(mesh: MeshArrays, apart: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Those pairs of bodies of which one lies deep inside elements of the other, and a place (dim,) where it does."""
+    """Return the pairs of bodies of which one lies deep inside elements of the other, and such a place (dim,)."""
     box = {}
     for k in np.unique(mesh.element_body).tolist():
         points = mesh.points[mesh.elements[mesh.element_body == k]].reshape(-1, mesh.dim)

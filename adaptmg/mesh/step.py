@@ -54,7 +54,7 @@ def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float]
 
 def step_shapes(worker: Netgen, domain: StepFile, contents: Mapping[str, tuple[str, ...]]
                 ) -> Iterator[tuple[str, Shape]]:
-    """The name and the shape of each solid in turn: the process holds one of them at a time."""
+    """Yield the name and the shape of each solid in turn: the process holds one of them at a time."""
     for k, (body, faces) in enumerate(contents.items()):
         try:
             (_, *tables), lower, scale = worker("step_shape", k, seconds=_START_S)
@@ -64,7 +64,7 @@ def step_shapes(worker: Netgen, domain: StepFile, contents: Mapping[str, tuple[s
 
 
 def step_contents(worker: Netgen, domain: StepFile) -> dict[str, tuple[str, ...]]:
-    """The names of the faces of a file by those of its solids, which the process holds then."""
+    """Return the names of the faces of a file by those of its solids, which the process holds then."""
     path = domain.path
     size = file_size("path", path)
     if path.suffix.lower() not in (".step", ".stp"):

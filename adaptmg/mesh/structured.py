@@ -100,7 +100,7 @@ def warn_of_stretched(domain: Domain, divisions: Divisions | Mapping[str, Divisi
 
 
 def lattice_nodes(domain: Rectangle | Box | Assembly, divisions: Divisions | Mapping[str, Divisions]) -> int:
-    """Number of nodes that :func:`structured` makes, or what it raises."""
+    """Return the number of nodes that :func:`structured` makes, or what it raises."""
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
         return sum(lattice_nodes(part, apart[body]) for body, part in domain.parts.items())
@@ -245,7 +245,7 @@ Value = TypeVar("Value")
 
 
 def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
-    """One mesh of several bodies, each meshed apart.
+    """Return one mesh of several bodies, each meshed apart.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def _starts(counts: Iterable[int]) -> np.ndarray:
 
 
 def per_body(name: str, value: Value | Mapping[str, Value], bodies: Sequence[str]) -> dict[str, Value]:
-    """An argument for each body."""
+    """Return an argument for each body."""
     if not isinstance(value, Mapping):
         return dict.fromkeys(bodies, value)
     if set(value) != set(bodies):
@@ -318,5 +318,5 @@ def per_body(name: str, value: Value | Mapping[str, Value], bodies: Sequence[str
 
 
 def boundaries_of(body: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Those of the names "body.edge" that belong to a body, without "body."."""
+    """Return those of the names "body.edge" that belong to a body, without "body."."""
     return tuple(name.removeprefix(f"{body}.") for name in names if name.startswith(f"{body}."))

@@ -44,7 +44,7 @@ class Revolved:
     straight: bool
 
     def gaps(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distances (n,) of points from the surface, and their gradients (n, 3)."""
+        """Return the signed distances (n,) of points from the surface, and their gradients (n, 3)."""
         offset = points - self.origin
         z = offset @ self.axis
         away = offset - z[:, None] * self.axis
@@ -61,7 +61,7 @@ class Revolved:
 
 
 def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
-    """The surface with some points (n, 3) and unit normals there, None if it is of none of the five kinds."""
+    """Return the surface with some points (n, 3) and unit normals there, None if it is of none of the five kinds."""
     if not (np.isfinite(points).all() and np.isfinite(normals).all()):
         return None
     centre = points.mean(axis=0)
@@ -118,14 +118,14 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
 
 
 def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:
-    """The surfaces that each face may lie on, by patches of points and normals (n, 6); None where a face has none."""
+    """Return the surfaces that each face may lie on, by patches of points and normals (n, 6); None without patches."""
     found = [[s for patch in patches if (s := surface_through(patch[:, :3], patch[:, 3:])) is not None]
              for patches in samples]
     return found if all(found) else None
 
 
 def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> list[Revolved]:
-    """The surface of each boundary of a mesh (called by the numbers of faces) that all its nodes lie on."""
+    """Return the surface of each boundary of a mesh (called by the numbers of faces) that all its nodes lie on."""
     found = []
     for label, face in enumerate(mesh.boundaries):
         nodes = mesh.points[np.unique(mesh.facets[mesh.facet_labels == label])]
@@ -139,8 +139,8 @@ def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> l
 
 
 def onto_surfaces(surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int) -> MeshArrays:
-    """A sound refined mesh with its boundary nodes from ``n_old`` on put onto the surfaces of their boundaries; sound
-    if none of its elements became flat. Misplaced otherwise, or where nodes do not reach their surfaces."""
+    """Return a sound refined mesh with its boundary nodes from ``n_old`` on put onto the surfaces of their boundaries;
+    sound if none of its elements became flat. Misplaced otherwise, or where nodes do not reach their surfaces."""
     row, corner = np.nonzero(mesh.facets >= n_old)
     if not len(row):
         return mesh

@@ -53,9 +53,9 @@ _ROUNDS = 3
 
 
 def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], growth: float | None = None) -> MeshArrays:
-    """A sound mesh of a plane domain whose edges are about as long as the field (n, 2) -> (n,) says. With ``growth``
-    sizes grow by at most so much per distance, and dips between nodes are looked for. The boundaries are called by
-    the numbers of the edges. ValueError for too many nodes."""
+    """Return a sound mesh of a plane domain whose edges are about as long as the field (n, 2) -> (n,) says. With
+    ``growth`` sizes grow by at most so much per distance, and dips between nodes are looked for. The boundaries are
+    called by the numbers of the edges. ValueError for too many nodes."""
     edges = [domain.edge(i) for i in range(len(domain.vertices))]
     field = _beside_short_edges(edges, domain.lengths, field)
     middle, scale = 0.5 * (domain.lower + domain.upper), 2.0**math.frexp((domain.upper - domain.lower).max())[1]

@@ -149,7 +149,7 @@ _SIDES = ("left", "right")
 
 
 def normal_of(polygon: ArrayLike) -> np.ndarray:
-    """Twice the area vector (3,) of a plane polygon, pointing to where it runs counter-clockwise."""
+    """Return twice the area vector (3,) of a plane polygon, pointing to where it runs counter-clockwise."""
     spokes = np.array(polygon) - polygon[0]
     return np.cross(spokes[1:-1], spokes[2:]).sum(axis=0)
 

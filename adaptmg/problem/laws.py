@@ -37,7 +37,7 @@ class Law(Protocol):
 
 
 def check_law(law: object, *, none: bool = False) -> None:
-    """TypeError unless ``law`` is an instance with the two methods of a law, or None where that may be."""
+    """Raise TypeError unless ``law`` is an instance with the two methods of a law, or None where that may be."""
     words = "Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds"
     for method in ("at_nodes", "bounds") * (law is not None or not none):
         checks.offers("law", law, method, words)

@@ -81,11 +81,11 @@ class LoadPath:
         return len(self.default)
 
     def of(self, name: str) -> np.ndarray:
-        """Factors (n_steps,) of a name, those of ``default`` where it is not named."""
+        """Return the factors (n_steps,) of a name, those of ``default`` where it is not named."""
         return self.factors.get(name, self.default)
 
     def resolved(self, problem: ContactProblem | None) -> dict[str, np.ndarray]:
-        """Factors (n_steps,) of everything a problem has to scale; of a bare DiscreteProblem (None) ``default`` alone.
+        """Return factors (n_steps,) of all that a problem has to scale; of a bare DiscreteProblem (None) ``default``.
 
         ValueError if the path names something that the problem does not load or move.
         """
@@ -105,7 +105,7 @@ class LoadPath:
 
 
 def name_in_path(item: Acting) -> str:
-    """The name under which a path scales a load or support: its own, or that of its place."""
+    """Return the name under which a path scales a load or support: its own, or that of its place."""
     return getattr(item, "name", None) or _place(item)
 
 
@@ -127,7 +127,7 @@ def _acting(problem: ContactProblem) -> list[Acting]:
 
 
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
-    """Names of all loads and of the supports that prescribe a displacement other than zero, each once."""
+    """Return the names of all loads and of the supports that prescribe a displacement other than zero, each once."""
     named = list(map(name_in_path, _acting(problem)))
     for load in problem.loads:
         if isinstance(load, Preload) and named.count(load.path_name) > 1:
@@ -153,7 +153,7 @@ def _shared_places(problem: ContactProblem) -> dict[str, list[Acting]]:
 
 
 def obstacles_in_path(problem: ContactProblem) -> list[str]:
-    """Names of the obstacles that move."""
+    """Return the names of the obstacles that move."""
     named = [one.name for contact in problem.contact if isinstance(contact, Contact)
              for one in moving_parts(contact.obstacle)]
     for name in named:
@@ -221,7 +221,7 @@ def _check_names(what: str, factors: Mapping[str, object], names: tuple[str, ...
 
 
 def times(value: Field | None, factor: float) -> Field | None:
-    """A number or function of position times a factor."""
+    """Return a number or function of position times a factor."""
     if value is None or factor == 1.0:
         return value
     return Scaled(value, factor) if callable(value) else factor * value

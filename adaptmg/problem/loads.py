@@ -247,7 +247,7 @@ class Preload:
         return "xyz".index(self.axis)
 
     def shortening(self, dim: int, strain: float = 1.0) -> InitialStrain:
-        """The initial strain that shortens the body by a strain, 1 its whole length."""
+        """Return the initial strain that shortens the body by a strain, 1 its whole length."""
         components = [0.0] * dim
         components[self.direction] = -float(strain)
         return InitialStrain(self.body, tuple(components), name=self.name)
@@ -267,7 +267,7 @@ class _Holds:
         return self.boundary
 
     def components(self, dim: int) -> tuple[FieldLike | None, ...]:
-        """The prescribed components in ``dim`` dimensions."""
+        """Return the prescribed components in ``dim`` dimensions."""
         return (None,) * dim
 
 
@@ -287,7 +287,7 @@ class _Prescribes(_Holds):
             raise ValueError(f"support on {self.place!r} fixes nothing: give x, y or z a displacement in m")
 
     def components(self, dim: int) -> tuple[FieldLike | None, ...]:
-        """The prescribed components in ``dim`` dimensions."""
+        """Return the prescribed components in ``dim`` dimensions."""
         if dim == 2 and self.z is not None:
             raise ValueError(f"support on {self.place!r}: z is prescribed in a 2D problem")
         return (self.x, self.y, self.z)[:dim]
@@ -464,7 +464,7 @@ class PointSpring(_AtPoint):
         _check_stiffness(self, "x", "y", "z")
 
     def components(self, dim: int) -> tuple[FieldLike | None, ...]:
-        """It prescribes none."""
+        """Return None for each component: a spring prescribes none."""
         if dim == 2 and self.z:
             raise ValueError(f"spring at {self.place}: z has a stiffness in a 2D problem")
         return (None,) * dim

@@ -46,14 +46,14 @@ class Anisotropy:
         return callable(self.axes) or callable(self.angle)
 
     def nearest(self) -> tuple[float, float]:
-        """Young's modulus and Poisson's ratio of the isotropic material with the means over all directions (Voigt)."""
+        """Return Young's modulus and Poisson's ratio of the isotropic material with means over directions (Voigt)."""
         c = np.array(self.stiffness)
         bulk = c[:3, :3].sum() / 9
         shear = (np.trace(c[:3, :3]) - (c[0, 1] + c[0, 2] + c[1, 2]) + 3 * np.trace(c[3:, 3:])) / 15
         return float(9 * bulk * shear / (3 * bulk + shear)), float((3 * bulk - 2 * shear) / (6 * bulk + 2 * shear))
 
     def rotations(self, points: np.ndarray) -> np.ndarray:
-        """The axes (1 or n, 3, 3) at points (n, dim), checked."""
+        """Return the axes (1 or n, 3, 3) at points (n, dim), checked."""
         if self.axes is None:
             turn = np.radians(checks.field("angle", self.angle, points if callable(self.angle) else points[:1]))
             result = np.zeros((len(turn), 3, 3))

@@ -27,7 +27,7 @@ class Obstacle(Protocol):
     """What a contact boundary may touch."""
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Contact normals (n, dim) and gaps (n,), m; see :meth:`adaptmg.Plane.contact`."""
+        """Return contact normals (n, dim) and gaps (n,), m; see :meth:`adaptmg.Plane.contact`."""
         ...
 
 
@@ -101,11 +101,11 @@ class Moving:
         return self.displacement.size
 
     def scaled(self, factor: float) -> Moving:
-        """The same with ``factor`` times the motion."""
+        """Return the same with ``factor`` times the motion."""
         return replace(self, displacement=factor * self.displacement, rotation=factor * self.rotation)
 
     def motion(self, points: np.ndarray) -> np.ndarray:
-        """How points (n, dim) of the obstacle move (n, dim), m."""
+        """Return how points (n, dim) of the obstacle move (n, dim), m."""
         arms = points - self.about
         inner = self.obstacle.motion(points) if isinstance(self.obstacle, Moving) else 0.0
         return self.displacement + arms @ (self._turn() - np.eye(self.dim)).T + inner
@@ -214,7 +214,7 @@ class Rigid:
         return tuple(np.flatnonzero(~np.isnan(self.targets)).tolist())
 
     def scaled(self, factor: float) -> Rigid:
-        """The same with ``factor`` times force and moment."""
+        """Return the same with ``factor`` times force and moment."""
         force, moment = (tuple(None if value is None else factor * value for value in values)
                          for values in (self.force, self.moment))
         return replace(self, force=force, moment=moment)
@@ -224,7 +224,7 @@ class Rigid:
         return self.obstacle.contact(points, normals)
 
     def placed(self, motion: np.ndarray) -> Moving:
-        """The obstacle after displacement and rotation (n,), m and rad."""
+        """Return the obstacle after displacement and rotation (n,), m and rad."""
         return Moving(self.obstacle, displacement=motion[:self.dim], rotation=motion[self.dim:], about=self.about,
                       name=self.name)
 
@@ -235,7 +235,7 @@ def _targets(name: str, values: object) -> tuple[float | None, ...]:
 
 
 def moving_parts(obstacle: Obstacle) -> list[Moving | Rigid]:
-    """An obstacle and what it wraps, as far as it moves."""
+    """Return an obstacle and what it wraps, as far as it moves."""
     result: list[Moving | Rigid] = []
     while isinstance(obstacle, Moving | Rigid):
         result.append(obstacle)
@@ -244,8 +244,8 @@ def moving_parts(obstacle: Obstacle) -> list[Moving | Rigid]:
 
 
 def placed(obstacle: Obstacle, factors: Mapping[str, float], motions: Mapping[str, ArrayLike] | None) -> Obstacle:
-    """An obstacle whose Moving parts have made ``factors`` of their motions (1 where not named), and whose Rigid one
-    has made that of ``motions`` (none where not named); without ``motions`` it has the factor of its force."""
+    """Return an obstacle whose Moving parts have made ``factors`` of their motions (1 where not named), and whose Rigid
+    one has made that of ``motions`` (none where not named); without ``motions`` it has the factor of its force."""
     if isinstance(obstacle, Rigid):
         inner = replace(obstacle, obstacle=placed(obstacle.obstacle, factors, motions))
         if motions is None:

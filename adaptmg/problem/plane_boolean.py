@@ -34,7 +34,7 @@ class _Piece:
 
 
 def combined(what: str, a: Outline, b: Outline) -> Outline:
-    """The outline of "Cut", "Fuse" or "Common" of two outlines; ValueError unless it is one piece."""
+    """Return the outline of "Cut", "Fuse" or "Common" of two outlines; ValueError unless it is one piece."""
     tol = _ROUND * float(max(np.ptp(outline.vertices, axis=0).max() for outline in (a, b)))
     points: list[np.ndarray] = []
     edges = [[outline.edge(i) for i in range(len(outline.vertices))] for outline in (a, b)]

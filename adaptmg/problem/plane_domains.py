@@ -60,7 +60,7 @@ class Domain:
 
 
 def corner(name: str, value: object, dim: int) -> tuple[float, ...]:
-    """``value`` as ``dim`` finite numbers."""
+    """Return ``value`` as ``dim`` finite numbers."""
     return tuple(map(float, check_arrays.vector(name, value, dim)))
 
 
@@ -289,7 +289,7 @@ class Outline(Domain):
         return self.vertices[i], self.vertices[self.following[i]]
 
     def arc(self, i: int) -> Arc | None:
-        """Edge i as an arc, None if it is straight."""
+        """Return edge i as an arc, None if it is straight."""
         if i not in self.arcs:
             return None
         center = self.arcs[i]
@@ -298,11 +298,11 @@ class Outline(Domain):
         return Arc(center, 0.5 * (math.hypot(ax, ay) + math.hypot(bx, by)), math.atan2(ay, ax), angle)
 
     def edge(self, i: int) -> Arc | Segment:
-        """Edge i."""
+        """Return edge i."""
         return self.arc(i) or Segment(*map(np.array, self._ends(i)))
 
     def winding(self, x: np.ndarray | tuple[float, float], edges: np.ndarray | None = None) -> int:
-        """How often the edges, or closed loops of them, run around a point that lies on none: 1 inside."""
+        """Return how often the edges, or closed loops of them, run around a point that lies on none: 1 inside."""
         edges = np.arange(len(self.vertices)) if edges is None else edges
         a, b = (np.array(self.vertices)[ends] - x for ends in (edges, self.following[edges]))
         turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
@@ -326,7 +326,7 @@ class Outline(Domain):
                      for i in range(len(self.vertices)))
 
     def chords(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points (n, 2), m, in order, arcs cut every 3 degrees; for each (n,) its edge, and the number of the next."""
+        """Return points (n, 2), m, in order, arcs cut every 3 degrees; for each its edge, and the next one's number."""
         points, edges = [], []
         for i, vertex in enumerate(self.vertices):
             n = 1
@@ -411,7 +411,7 @@ class Circle(Domain):
 
 
 def with_vertex(domain: Domain, point: tuple[float, ...], arcs: bool = False) -> Domain:
-    """The plane domain with a vertex at a point of a straight edge, or of any; itself if the point lies elsewhere."""
+    """Return a plane domain with a vertex at a point of a straight edge, or of any; itself if it lies elsewhere."""
     outline, near = domain.outline, 1e-9 * float((domain.upper - domain.lower).max())
     away = [np.inf if i in outline.arcs and not arcs else outline.edge(i).distance(np.array([point]))[0]
             for i in range(len(outline.vertices))]

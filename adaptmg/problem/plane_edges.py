@@ -16,7 +16,7 @@ _SAME = 1e4
 
 
 def distance_to_segments(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance (n,) of points (n, 2) to one segment, or to one segment each."""
+    """Return the distance (n,) of points (n, 2) to one segment, or to one segment each."""
     u = b - a
     along = (p - a) @ u / (u @ u) if u.ndim == 1 else np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1)
     along = np.clip(along, 0.0, 1.0)
@@ -31,16 +31,16 @@ class Segment:
     end: np.ndarray
 
     def at(self, fractions: np.ndarray) -> np.ndarray:
-        """Points (n, 2), m, at fractions (n,) of the length."""
+        """Return the points (n, 2), m, at fractions (n,) of the length."""
         return self.start + np.asarray(fractions, dtype=np.float64)[..., None] * (self.end - self.start)
 
     def along(self, point: np.ndarray) -> float:
-        """The fraction of the length at which a point of the edge lies."""
+        """Return the fraction of the length at which a point of the edge lies."""
         u = self.end - self.start
         return float((point - self.start) @ u / (u @ u))
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Distance (n,) of points (n, 2) to the edge, m."""
+        """Return the distance (n,) of points (n, 2) to the edge, m."""
         return distance_to_segments(points, self.start, self.end)
 
 
@@ -64,18 +64,18 @@ class Arc:
         return 0.5 * self.radius**2 * (self.angle - math.sin(self.angle))
 
     def at(self, fractions: np.ndarray) -> np.ndarray:
-        """Points (n, 2), m, at fractions (n,) of the angle."""
+        """Return the points (n, 2), m, at fractions (n,) of the angle."""
         directions = self.start + np.asarray(fractions, dtype=np.float64) * self.angle
         return np.array(self.center) + self.radius * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
 
     def along(self, point: np.ndarray) -> float:
-        """The fraction of the angle at which a point of the arc lies."""
+        """Return the fraction of the angle at which a point of the arc lies."""
         x, y = point - np.array(self.center)
         turn = math.atan2(y, x) - self.start - 0.5 * self.angle
         return 0.5 + ((turn + math.pi) % (2 * math.pi) - math.pi) / self.angle
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Distance (n,) of points (n, 2) to the arc, m."""
+        """Return the distance (n,) of points (n, 2) to the arc, m."""
         offset = points - np.array(self.center)
         middle = self.start + 0.5 * self.angle
         along, across = (offset @ np.array(d) for d in ((math.cos(middle), math.sin(middle)),
@@ -86,7 +86,7 @@ class Arc:
 
 
 def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]:
-    """Points where two edges cross or touch, and the ends of one that lie on the other."""
+    """Return the points where two edges cross or touch, and the ends of one that lie on the other."""
     found = [*e.at(np.array([0.0, 1.0])), *f.at(np.array([0.0, 1.0]))]
     if isinstance(e, Arc) and isinstance(f, Arc):
         found += _circles(e, f, tol)
@@ -123,7 +123,7 @@ def _both_sides(foot: np.ndarray, along: np.ndarray, radius: float, distance: fl
 
 def check_simple(edges: Sequence[Segment | Arc], names: Sequence[str], first: np.ndarray, last: np.ndarray,
                  what: str = "vertices") -> None:
-    """ValueError if edges from vertices ``first`` to ``last``, by number, are too short, or meet elsewhere."""
+    """Raise ValueError if edges from vertices ``first`` to ``last``, by number, are too short, or meet elsewhere."""
     a, b = np.array([edge.at(np.array([0.0, 1.0])) for edge in edges]).transpose(1, 0, 2)
     straight = np.array([isinstance(edge, Segment) for edge in edges])
     # an arc is shorter than a half circle: it lies in the box around its ends grown by their distance

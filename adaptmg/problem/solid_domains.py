@@ -321,7 +321,7 @@ class Combination(SolidDomain):
         return combined(type(self).__name__, *parts)
 
     def renamed(self, part: str, name: str) -> str:
-        """The name in the result of the boundary ``name`` of ``part``, "a" or "b"."""
+        """Return the name in the result of the boundary ``name`` of ``part``, "a" or "b"."""
         return self.rename.get(f"{part}.{name}", self.rename.get(name, name))
 
     @property

@@ -59,7 +59,7 @@ class Plane:
         return self.point.size
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Contact normals (n, dim) and gaps (n,), m, at boundary points (n, dim), m, with outward unit normals.
+        """Return contact normals (n, dim) and gaps (n,), m, at boundary points (n, dim), m, with outward unit normals.
 
         Gaps are measured along the contact normals, which point out of the body; negative behind the plane.
         """

@@ -294,9 +294,9 @@ def _quadrature(locator: interpolation.PointLocator, fine: MeshArrays, elements:
 @kernel
 def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_points, coarse, maps, boxes, marker, covered,
                   element, columns, values):
-    """Integrals over the ``chosen`` fine elements from the one numbered ``done`` on, each scaled to volume 1. Entries
-    are written from position ``count`` on: fine element, coarse node and the integrals with the shape functions of the
-    corners. ``covered`` gets the share of each element that the coarse mesh covers; ``marker`` (n_coarse,) is -1
+    """Compute integrals over the ``chosen`` fine elements from the one numbered ``done`` on, each scaled to volume 1.
+    Entries are written from position ``count`` on: fine element, coarse node and the integrals with the shape functions
+    of the corners. ``covered`` gets the share of each element that the coarse mesh covers; ``marker`` (n_coarse,) is -1
     throughout on entry and exit."""
     k = elements.shape[1]
     mu, moments = np.empty((k, k)), np.empty((k, k))

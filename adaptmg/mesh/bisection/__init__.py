@@ -67,7 +67,7 @@ def bisect(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> t
 
 
 def check_marked(mesh: MeshArrays, marked: np.ndarray) -> np.ndarray:
-    """``marked`` as an array; TypeError or ValueError unless it is a boolean mask over the elements."""
+    """Return ``marked`` as an array; TypeError or ValueError unless it is a boolean mask over the elements."""
     marked = np.asarray(marked)
     if marked.dtype != bool:
         raise TypeError(f"marked must be a boolean mask over the elements, got {marked.dtype}")

@@ -131,7 +131,7 @@ _PLANE = 1e-9
 
 
 def curved_boundaries(domain: Domain | None) -> dict[str, tuple[Domain, str]]:
-    """The boundaries that :func:`on_surface` may know a curve of: their part of the domain, and its own name."""
+    """Return the boundaries that :func:`on_surface` may know a curve of: their part of the domain, and its own name."""
     if isinstance(domain, Assembly):
         return {f"{body}.{name}": found for body, part in domain.parts.items()
                 for name, found in curved_boundaries(part).items()}
@@ -158,7 +158,7 @@ def _curved(domain: Domain) -> tuple[str, ...]:
 
 
 def on_surface(domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Places on a boundary for the midpoints of some of its edges."""
+    """Return the places on a boundary for the midpoints of some of its edges."""
     middle = 0.5 * (a + b)
     if isinstance(domain, Outline):
         return _on_outline(domain, name, a, b, normals)

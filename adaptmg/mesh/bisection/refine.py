@@ -188,7 +188,7 @@ def bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge):
 
 @kernel
 def midpoints(points, n_old, nodes):
-    """Places of the nodes from ``n_old`` on, each halfway between its parents; ``points`` is changed."""
+    """Move the nodes from ``n_old`` on halfway between their parents, in ``points``."""
     for p in range(n_old, len(points)):
         a, b = nodes[p, LOW], nodes[p, HIGH]
         for k in range(points.shape[1]):

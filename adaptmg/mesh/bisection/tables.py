@@ -28,7 +28,7 @@ class Refined:
 
 
 def parents_of(mesh: MeshArrays) -> np.ndarray:
-    """Parents (n_nodes, 2) of each node since the initial mesh."""
+    """Return the parents (n_nodes, 2) of each node since the initial mesh."""
     refinement = mesh.refinement
     if refinement is not None:
         return refinement.parents
@@ -36,7 +36,7 @@ def parents_of(mesh: MeshArrays) -> np.ndarray:
 
 
 def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
-    """The elements as a table, labelled if the mesh was never bisected, with ``room`` times the rows as room."""
+    """Return the elements as a table, labelled if the mesh was never bisected, with ``room`` times the rows as room."""
     n, corners = mesh.elements.shape
     cells = np.empty((n + int(room * n), 2 * corners + 3), dtype=np.int32)
     cells[:n, :corners] = mesh.elements
@@ -54,7 +54,7 @@ def cells_of(mesh: MeshArrays, room: float = 0.0) -> np.ndarray:
 
 
 def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
-    """The nodes as a table in which no edge is cut, with ``room`` times the rows as room."""
+    """Return the nodes as a table in which no edge is cut, with ``room`` times the rows as room."""
     n = mesh.n_nodes
     nodes = np.empty((n + int(room * n), NODE_COLUMNS), dtype=np.int32)
     nodes[:n, HEAD] = -1
@@ -62,7 +62,7 @@ def nodes_of(mesh: MeshArrays, room: float) -> np.ndarray:
 
 
 def mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray) -> MeshArrays:
-    """The mesh that tables hold, with the boundaries and bodies of the mesh they come from."""
+    """Return the mesh that tables hold, with the boundaries and bodies of the mesh they come from."""
     corners = before.dim + 1
     marks = 2 * corners
     opposite = element_facets(np.arange(corners)[None])[0]
@@ -123,14 +123,14 @@ def facets_into_cells(facets, cells, n_cells, corners, head, following, on_bound
 
 
 def with_refinement(mesh: MeshArrays, refinement: Refinement | None) -> MeshArrays:
-    """The same mesh with another history, its source and soundness kept."""
+    """Return the same mesh with another history, its source and soundness kept."""
     result = trusted(mesh, vars(mesh)["source"], mesh.sound)
     object.__setattr__(result, "refinement", refinement)
     return result
 
 
 def as_initial(mesh: MeshArrays) -> MeshArrays:
-    """The mesh with its labels, but without its past: it counts as the initial one."""
+    """Return the mesh with its labels, but without its past: it counts as the initial one."""
     history = mesh.refinement
     if history is None:
         return mesh

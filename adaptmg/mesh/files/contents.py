@@ -51,7 +51,7 @@ class _Tables:
 
 def mesh_of(contents: Contents, *, unit: float, unnamed: str, split_bodies: bool,
             boundaries: Sequence[str] | None, body: str | None) -> tuple[MeshArrays, np.ndarray]:
-    """The checked mesh, and the midpoints (n, dim), m, of boundary facets that no name of the file holds."""
+    """Return the checked mesh, and the midpoints (n, dim), m, of boundary facets that no name of the file holds."""
     _check(contents)
     tables, cell, cut = _cut(contents, unit, body)
     table = facet_table(tables.elements, len(tables.points))

@@ -49,7 +49,7 @@ class _Block:
     data: list[str] = field(default_factory=list)
 
     def rows(self) -> Iterator[list[str]]:
-        """The words of each line; "" for what is left out, also at its end."""
+        """Return the words of each line; "" for what is left out, also at its end."""
         return ([word.strip() for word in line.split(",")] for line in self.data)
 
     def error(self, text: str) -> ValueError:
@@ -82,7 +82,7 @@ class _Part:
         self.sets.setdefault((kind, name), []).append(np.column_stack([numbers, np.full(len(numbers), facet)]))
 
     def members(self, kind: str, name: str) -> np.ndarray:
-        """The rows (n, 2) of a set; ValueError if there is none."""
+        """Return the rows (n, 2) of a set; ValueError if there is none."""
         if (kind, name) not in self.sets:
             raise ValueError(f"there is no set {name!r}")
         return np.concatenate(self.sets[kind, name])
@@ -258,7 +258,7 @@ class _Deck:
         return self.spelling.get(name, name)
 
     def contents(self) -> Contents:
-        """The root with all that its sets name."""
+        """Return the root with all that its sets name."""
         root = self.root
         if not root.numbers and self.parts:
             raise ValueError("it has parts, but no instances of them")
@@ -316,7 +316,7 @@ _READERS = {"PART": _Deck._part, "END PART": _Deck._end, "ASSEMBLY": _Deck._end,
 
 
 def read_deck(path: Path) -> Contents:
-    """The contents of a deck."""
+    """Return the contents of a deck."""
     deck = _Deck()
     deck.read_file(path)
     return deck.contents()

@@ -43,7 +43,7 @@ class _Section:
                 raise ValueError(f"the section ${name} must hold numbers only: {error}") from None
 
     def take(self, kind: str, count: int) -> np.ndarray:
-        """The next numbers, as integers or floats."""
+        """Return the next numbers, as integers or floats."""
         end = self.at + count * (_SIZES[kind].itemsize if self.binary else 1)
         if count < 0 or end > len(self.numbers):
             raise ValueError(f"the section ${self.name} does not hold as many entries as it says; the file is cut off")
@@ -52,17 +52,17 @@ class _Section:
         return found.astype(np.float64) if kind == "real" else self.whole(found)
 
     def whole(self, values: np.ndarray) -> np.ndarray:
-        """Integers of the size that double precision holds."""
+        """Return the values as integers of the size that double precision holds."""
         if not ((np.abs(values) < 2.0**53) & (values == np.floor(values))).all():
             raise ValueError(f"the section ${self.name} must count and number by whole numbers below 2**53")
         return values.astype(np.int64)
 
     def one(self, kind: str) -> int:
-        """The next whole number."""
+        """Return the next whole number."""
         return int(self.take(kind, 1)[0])
 
     def end(self, missing: int = 0) -> None:
-        """ValueError unless all numbers were taken, and none is ``missing``."""
+        """Raise ValueError unless all numbers were taken, and none is ``missing``."""
         if self.at != len(self.numbers) or missing:
             raise ValueError(f"the section ${self.name} does not hold as many entries as it says")
 
@@ -91,7 +91,7 @@ def _sections(data: bytes) -> tuple[float, bool, dict[str, bytes]]:
 
 
 def read_gmsh(data: bytes) -> Contents:
-    """The contents of a file."""
+    """Return the contents of a file."""
     version, binary, parts = _sections(data)
     for name in ("Nodes", "Elements"):
         if name not in parts:

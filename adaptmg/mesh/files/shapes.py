@@ -54,24 +54,24 @@ KINDS |= {f"{shape}{n}": (shape, n) for shape, n in (
 
 
 def dimension(kind: str) -> int:
-    """Dimension of a kind of cell, -1 of one that is not known here."""
+    """Return the dimension of a kind of cell, -1 of one that is not known here."""
     return DIMENSIONS[KINDS[kind][0]] if kind in KINDS else -1
 
 
 def middles(kind: str) -> tuple[Corners, ...]:
-    """The corners of which each node of second order is the middle or centre."""
+    """Return the corners of which each node of second order is the middle or centre."""
     shape, n = KINDS[kind]
     return () if n == _CORNERS[shape] else _EDGES[shape] + _CENTRES.get(kind, ())
 
 
 def kind_of(shape: str, n: int) -> str | None:
-    """The kind with a shape and a number of nodes."""
+    """Return the kind with a shape and a number of nodes."""
     return next((kind for kind, known in KINDS.items() if known == (shape, n)), None)
 
 
 @cache
 def facets_of(kind: str) -> tuple[tuple[str, Corners], ...]:
-    """Kind and local nodes of each facet of a cell."""
+    """Return the kind and local nodes of each facet of a cell."""
     result = []
     for corners in FACETS[KINDS[kind][0]]:
         k = len(corners)
@@ -138,9 +138,9 @@ def _around(kind: str, corner: int) -> Corners:
 
 
 def simplices(kind: str, nodes: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles, tetrahedra or lines of some cells of a kind, oriented as these, and the cell that each comes from;
-    those that collapsed cells leave flat are dropped. Of elements, whose ``points`` choose the shorter diagonals, or of
-    boundary facets, which are cut by numbers alone."""
+    """Return triangles, tetrahedra or lines of some cells of a kind, oriented as these, and the cell that each comes
+    from; those that collapsed cells leave flat are dropped. Of elements, whose ``points`` choose the shorter diagonals,
+    or of boundary facets, which are cut by numbers alone."""
     cells, owners = [], []
     for facets, local in _parts(kind):
         part = nodes[:, local]
@@ -160,7 +160,7 @@ def simplices(kind: str, nodes: np.ndarray, points: np.ndarray | None = None) ->
 
 
 def around_centres(kind: str, nodes: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tetrahedra between the facets of cells and new nodes ``first``, ... at their centres, and the cell of each."""
+    """Return tetrahedra between facets of cells and new nodes ``first``, ... at their centres, and the cell of each."""
     parts = [simplices(one, nodes[:, local]) for one, local in facets_of(kind)]
     owner = np.concatenate([own for _, own in parts])
     return np.column_stack([np.concatenate([found for found, _ in parts]), first + owner]), owner
@@ -204,7 +204,7 @@ def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> t
 
 
 def cut_note(kind: str, counts: np.ndarray) -> str:
-    """What became of the cells of a kind: '12 8-node bricks: each split into 6 tetrahedra'; "" of simplices."""
+    """Return what became of the cells of a kind: '12 8-node bricks: each split into 6 tetrahedra'; "" of simplices."""
     shape, n = KINDS[kind]
     if kind in ("triangle", "tetra"):
         return ""
