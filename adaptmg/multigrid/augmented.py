@@ -60,12 +60,12 @@ class Augmented:
                                      strain_free=problem.strain_free)
 
     def pressures(self, solved: np.ndarray) -> np.ndarray:
-        """The pressures (n_groups,) that belong to a displacement, between bodies relative."""
+        """Return the pressures (n_groups,) that belong to a displacement, between bodies relative."""
         return self._offset + self._kappa * self._volumes.strains(solved.reshape(-1))
 
     def accelerated(self, pressures: np.ndarray, past: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-        """What the next solve begins with: the pressures of this one recombined with those of the ``past`` ones. The
-        mean pressure of a body that is enclosed tends to its value with 1 - kappa~ / kappa alone."""
+        """Return what the next solve begins with: the pressures of this one recombined with those of the ``past`` ones.
+        The mean pressure of a body that is enclosed tends to its value with 1 - kappa~ / kappa alone."""
         past.insert(0, (pressures, pressures - self._before))
         values, changes = map(np.array, zip(*past[:5], strict=True))
         if len(values) == 1:
@@ -74,7 +74,7 @@ class Augmented:
         return pressures + alpha @ (values[1:] - pressures)
 
     def missed(self, solved: np.ndarray) -> float:
-        """What the volume strains of a displacement and the pressures of this problem miss, relative to these."""
+        """Return what volume strains of a displacement and pressures of this problem miss, relative to these."""
         volumes = self._volumes
         missed = volumes.scale * volumes.missed(solved.reshape(-1), self._before)
         size = np.linalg.norm(volumes.scale / volumes.modulus * self._before)

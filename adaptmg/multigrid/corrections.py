@@ -55,7 +55,7 @@ class Correction(Protocol):
 
     def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
                   initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coarse gap D, slip U and limit G."""
+        """Return the coarse gap D, slip U and limit G."""
 
 
 class Recorder(Protocol):
@@ -69,7 +69,7 @@ class Recorder(Protocol):
 
 
 def sliding_limit(system: LocalSystem, contact: NodalContact, residual: np.ndarray) -> np.ndarray:
-    """s + mu p with p = max(0, r_n), r = b - A w (n_contact,), N."""
+    """Return s + mu p with p = max(0, r_n), r = b - A w (n_contact,), N."""
     normal_force = np.maximum(residual.reshape(-1, system.dim)[system.nodes, 0], 0.0)
     return contact.limit + contact.friction * normal_force
 
@@ -77,7 +77,7 @@ def sliding_limit(system: LocalSystem, contact: NodalContact, residual: np.ndarr
 def correction_contact(correction: Correction, reach: Supports, system: LocalSystem, coarse: LocalSystem,
                        contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray,
                        initial: InitialContact | None) -> NodalContact:
-    """The contact data of the coarse correction problem at a fine iterate."""
+    """Return the contact data of the coarse correction problem at a fine iterate."""
     values = unknowns.reshape(-1, system.dim)[system.nodes]
     fine_slip = values[:, 1:] - contact.slip_reference
     # |E| is a bound of what a correction changes in a slip that is held along one tangent
@@ -118,7 +118,7 @@ class CorrectionLevel:
 
 def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
                       coarse_matrices: str = "galerkin") -> list[CorrectionLevel]:
-    """Level ``finest`` of a hierarchy and those below it, coarsest first."""
+    """Return the level ``finest`` of a hierarchy and those below it, coarsest first."""
     levels = [CorrectionLevel(problems[finest].system)]
     for k in range(finest, 0, -1):
         upper, lower = problems[k], problems[k - 1]
@@ -133,7 +133,7 @@ def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest
 
 
 def contact_weights(nodal: sparse.csr_array, fine: DiscreteProblem, coarse: DiscreteProblem) -> sparse.csr_array:
-    """The part of a nodal prolongation between contact nodes (n_contact fine, n_contact coarse)."""
+    """Return the part of a nodal prolongation between contact nodes (n_contact fine, n_contact coarse)."""
     weights = sparse.csr_array(nodal[fine.contact.nodes][:, coarse.contact.nodes])
     weights.eliminate_zeros()
     weights.sort_indices()
@@ -141,7 +141,7 @@ def contact_weights(nodal: sparse.csr_array, fine: DiscreteProblem, coarse: Disc
 
 
 def local_prolongation(nodal: sparse.csr_array, fine: LocalProblem, coarse: LocalProblem) -> sparse.bsr_array:
-    """A nodal prolongation in local components (n_dofs fine, n_dofs coarse), zero at fixed dofs."""
+    """Return a nodal prolongation in local components (n_dofs fine, n_dofs coarse), zero at fixed dofs."""
     dim = fine.system.dim
     nodal = sparse.csr_array(nodal)
     rows = np.repeat(np.arange(nodal.shape[0]), np.diff(nodal.indptr))
@@ -179,8 +179,8 @@ def _tangential_part(rotation: np.ndarray) -> np.ndarray:
 
 
 def local_galerkin(level: CorrectionLevel, coarse: LocalSystem, finer: CorrectionLevel | None = None) -> LocalSystem:
-    """The Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale diagonal. Dofs of ``level`` that
-    ``finer``, the next level, does not see have such a diagonal, which is left out."""
+    """Return the Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale diagonal. Dofs of ``level``
+    that ``finer``, the next level, does not see have such a diagonal, which is left out."""
     dim = coarse.dim
     prolongation, restriction = level.prolongation, level.restriction
     if finer is not None:

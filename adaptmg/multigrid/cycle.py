@@ -91,7 +91,7 @@ class MultigridCycle:
     COMPLETE_LIMIT = 60
 
     def cycle(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str) -> None:
-        """One cycle on a level >= 1: smooth, correct from the next coarser level, smooth."""
+        """Run one cycle on a level >= 1: smooth, correct from the next coarser level, smooth."""
         self.smooth(level, contact, load, unknowns, self.options.pre)
         self.correct(level, contact, unknowns, self.residual(level, load, unknowns), shape)
         self.smooth(level, contact, load, unknowns, self.options.post)
@@ -128,7 +128,7 @@ class MultigridCycle:
             self.recorder.visit(level, "smooth", sweeps)
 
     def residual(self, level: int, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
-        """b - A w on a level (n_dofs,), one pass."""
+        """Return b - A w on a level (n_dofs,), one pass."""
         system = self.levels[level].system
         self.recorder.count(1, system.nonzeros)
         return residual(system, load, unknowns)
@@ -273,7 +273,7 @@ class NestedStart:
         object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
 
     def cycles_on(self, problem: DiscreteProblem, finer: DiscreteProblem) -> int:
-        """Cycles on a level with this problem below one with that, unless complete."""
+        """Return the number of cycles on a level with this problem below one with that, unless complete."""
         if self.cycles is None:
             return 1 if problem.coupling is None or finer.n_nodes < self.CHEAP * problem.n_nodes else 2
         return int(self.cycles)
@@ -294,7 +294,7 @@ def prolonged_start(nodal: sparse.csr_array, coarse: LocalProblem, unknowns: np.
 
 
 def initial_contact(local: LocalProblem, unknowns: np.ndarray, residual: np.ndarray) -> InitialContact:
-    """Slip and sliding limit of a first solution (the paper's U0 and G0)."""
+    """Return the slip and sliding limit of a first solution (the paper's U0 and G0)."""
     system = local.system
     slip = unknowns.reshape(-1, system.dim)[system.nodes][:, 1:] - local.contact.slip_reference
     return InitialContact(slip, sliding_limit(system, local.contact, residual))

@@ -23,7 +23,7 @@ from adaptmg.smoother.kernels import minus_row
 
 @kernel
 def forward_from_zero(first, last, order, zero, l_indptr, l_indices, lower, inverse, load, u, kept):
-    """u = (L + D)^-1 f, kept = f - L u."""
+    """Compute u = (L + D)^-1 f, kept = f - L u."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -35,7 +35,7 @@ def forward_from_zero(first, last, order, zero, l_indptr, l_indices, lower, inve
 
 @kernel
 def forward_residual(first, last, order, zero, u_indptr, u_indices, upper, u, result):
-    """The residual after :func:`forward_from_zero`: minus U times u."""
+    """Write the residual after :func:`forward_from_zero`: minus U times u."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -44,7 +44,7 @@ def forward_residual(first, last, order, zero, u_indptr, u_indices, upper, u, re
 
 @kernel
 def backward_change(first, last, order, zero, u_indptr, u_indices, upper, inverse, u, kept):
-    """Backward sweep that takes f - L u from ``kept`` and leaves the change of u there."""
+    """Sweep backward with f - L u from ``kept`` and leave the change of u there."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -57,7 +57,7 @@ def backward_change(first, last, order, zero, u_indptr, u_indices, upper, invers
 
 @kernel
 def residual(first, last, order, zero, l_indptr, l_indices, lower, kept):
-    """The residual after :func:`backward_change`, minus L times the change, in place of the change."""
+    """Write the residual after :func:`backward_change`, minus L times the change, in place of the change."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -67,7 +67,7 @@ def residual(first, last, order, zero, l_indptr, l_indices, lower, kept):
 @kernel
 def forward_full(first, last, order, zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u,
                  kept):
-    """Forward sweep from any u, kept = f - L u."""
+    """Sweep forward from any u, kept = f - L u."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -80,7 +80,7 @@ def forward_full(first, last, order, zero, l_indptr, l_indices, lower, u_indptr,
 
 @kernel
 def backward_kept(first, last, order, zero, u_indptr, u_indices, upper, inverse, u, kept):
-    """Backward sweep that takes f - L u from ``kept``."""
+    """Sweep backward with f - L u from ``kept``."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -91,7 +91,7 @@ def backward_kept(first, last, order, zero, u_indptr, u_indices, upper, inverse,
 
 @kernel
 def backward_full(first, last, order, zero, l_indptr, l_indices, lower, u_indptr, u_indices, upper, inverse, load, u):
-    """Backward sweep from any u."""
+    """Sweep backward from any u."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -106,7 +106,7 @@ ONE = np.uint64(1)
 
 @kernel
 def restrict(first, last, zero, indptr, indices, weights, r, coarse):
-    """coarse += P' r; returns r'r."""
+    """Add P' r to ``coarse``; return r'r."""
     dim = np.uint64(len(zero))
     squares = 0.0
     for node in range(first, last):
@@ -129,7 +129,7 @@ def _plus_prolonged(i, indptr, indices, weights, coarse, e):
 
 @kernel
 def add_prolonged(first, last, zero, indptr, indices, weights, coarse, u):
-    """u += P coarse."""
+    """Add P times ``coarse`` to u."""
     for node in range(first, last):
         i = np.uint64(node)
         at = np.uint64(len(zero)) * i

@@ -119,7 +119,7 @@ class LinearCycle:
             level.smoother = _LevelSmoother(self.coarse_smoother, level.matrix)
 
     def solve(self, number: int, load: np.ndarray, smooth: bool = True) -> np.ndarray:
-        """One cycle from zero for a load (n_dofs,) of a level; returns its solution. ``smooth`` False restricts the
+        """Run one cycle from zero for a load (n_dofs,) of a level; return its solution. ``smooth`` False restricts the
         load unchanged, as a load that comes from a smoothed residual may be; one symmetric sweep then comes after."""
         level, recorder = self.levels[number], self.recorder
         if number == 0:
@@ -225,7 +225,7 @@ class PreparedSolve(Protocol):
     """A matrix made ready for solves."""
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """The solution (n_dofs,) for a right-hand side (n_dofs,)."""
+        """Return the solution (n_dofs,) for a right-hand side (n_dofs,)."""
 
 
 class PreparedSmoother(Protocol):
@@ -253,7 +253,7 @@ class LinearSmoother(Protocol):
 
 
 def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.bsr_array:
-    """The matrix of a level, with ``scale`` (n_dofs,) on the diagonal where rows are empty but for rounding."""
+    """Return the matrix of a level, with ``scale`` (n_dofs,) on the diagonal where rows are empty but for rounding."""
     matrix = level.matrix()
     row = np.repeat(np.arange(level.n_nodes), np.diff(matrix.indptr))
     sizes = np.zeros((level.n_nodes, level.dim))

@@ -58,7 +58,7 @@ def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
 @kernel
 def backward(first, last, order, zero, l_indptr, l_indices, lower, inverse, contact_of, frames, blocks, gap, reference,
              limit, friction, values, u, kept):
-    """Backward projected sweep; ``kept`` comes as f and becomes f - U u."""
+    """Sweep backward with projections; ``kept`` comes as f and becomes f - U u."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -77,8 +77,8 @@ def backward(first, last, order, zero, l_indptr, l_indices, lower, inverse, cont
 @kernel(fastmath={"contract"})
 def forward(first, last, order, zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, blocks, gap,
             reference, limit, friction, values, u, kept):
-    """Forward projected sweep after :func:`backward`; ``kept`` becomes f - A u. ``diagonal`` (n_contact * dim^2,) are
-    the Cartesian diagonal blocks of the contact nodes."""
+    """Sweep forward with projections after :func:`backward`; ``kept`` becomes f - A u. ``diagonal`` (n_contact *
+    dim^2,) are the Cartesian diagonal blocks of the contact nodes."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -98,7 +98,7 @@ def forward(first, last, order, zero, l_indptr, l_indices, lower, inverse, diago
 
 @kernel
 def energy_product(first, last, order, zero, l_indptr, l_indices, lower, inverse, new, old):
-    """(new - old)' A (new - old) from L and the inverse diagonal blocks: half a pass."""
+    """Return (new - old)' A (new - old) from L and the inverse diagonal blocks: half a pass."""
     dim = np.uint64(len(zero))
     total = 0.0
     for place in range(first, last):
@@ -162,7 +162,7 @@ def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
 @kernel
 def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, inverse,
           contact_of, frames, own_blocks, gap, reference, limit, friction, values, u, residual):
-    """Projected sweep over positions ``order`` of an :class:`~adaptmg.multigrid.projected_sweeps.Interface`.
+    """Sweep with projections over positions ``order`` of an :class:`~adaptmg.multigrid.projected_sweeps.Interface`.
     ``residual`` is f - A u before and after."""
     dim = np.uint64(len(zero))
     for entry in range(len(order)):

@@ -32,7 +32,7 @@ _CLEAR = 1e-6
 
 
 def null_combinations(rows: np.ndarray) -> np.ndarray:
-    """Independent columns (k, m) that ``rows`` (n, k) map to zero; entries of a row may differ in their units."""
+    """Return independent columns (k, m) that ``rows`` (n, k) map to zero; entries of a row may differ in units."""
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1.0
     squares = np.linalg.eigvalsh((rows / size).T @ (rows / size)) if rows.size else np.zeros(1)
@@ -68,7 +68,7 @@ class RigidContact:
 
     @classmethod
     def of(cls, contact: TruncatedContact, motions: np.ndarray, residual: np.ndarray) -> RigidContact:
-        """The contact nodes of a level with the residual f - A u (n_dofs,)."""
+        """Return the contact nodes of a level with the residual f - A u (n_dofs,)."""
         o, dim = contact, contact.dim
         normals = o.frames.reshape(-1, dim, dim)[:, 0]
         pressure = np.maximum(np.einsum("ni,ni->n", normals, residual.reshape(-1, dim)[o.nodes]), 0.0)
@@ -90,8 +90,8 @@ class RigidContact:
         return (self.limit > 0) | (self.closed & (self.friction > 0))
 
     def free(self, last: tuple[bytes, np.ndarray]) -> tuple[bytes, np.ndarray]:
-        """Combinations (m, j) that move closed nodes along the obstacle only, and held ones not at all. Behind the
-        status that they belong to; ``last`` are those of another time."""
+        """Return the combinations (m, j) that move closed nodes along the obstacle only, and held ones not at all.
+        Behind the status that they belong to; ``last`` are those of another time."""
         closed, held = self.closed, self.resists & ~self.slip.any(axis=1)
         count = self.motions.shape[2]
         key = bytes([count]) + closed.tobytes() + held.tobytes()
@@ -175,7 +175,7 @@ class _Line:
     @classmethod
     def along(cls, contact: RigidContact, bound: np.ndarray, change: np.ndarray, across: np.ndarray,
               work: float) -> _Line:
-        """The line from the present values; ``across`` (n,) is N d."""
+        """Return the line from the present values; ``across`` (n,) is N d."""
         speed = np.linalg.norm(change, axis=1)
         small = _ZERO * max(speed.max(), np.abs(across).max())
         closing = ~contact.closed & (across > small) & np.isfinite(contact.gap)
@@ -198,7 +198,7 @@ class _Line:
         return float(self.bound @ np.divide(product, size, out=np.zeros_like(size), where=size > 0)) - self.work
 
     def minimum(self) -> float:
-        """The length at which the energy is least: at most :attr:`stop`."""
+        """Return the length at which the energy is least: at most :attr:`stop`."""
         acts = self.bound > 0
         high = min(self.stop, 2.0 * float((np.linalg.norm(self.slip[acts], axis=1) / self.speed[acts]).max(initial=0.0)
                                           or 1.0) if acts.any() else np.inf)
@@ -213,7 +213,7 @@ class _Line:
         return high
 
     def vanishing(self, length: float, small: float) -> int | None:
-        """The node whose slip vanishes at a length, if there is one."""
+        """Return the node whose slip vanishes at a length, if there is one."""
         left = np.linalg.norm(self.slip + length * self.change, axis=1)
         share = np.divide(left, length * self.speed, out=np.full(len(left), np.inf), where=self.bound > 0)
         node = int(np.argmin(share))
@@ -253,7 +253,7 @@ class RigidMotions:
 
     @classmethod
     def of(cls, problem: DiscreteProblem, contact: TruncatedContact, load: np.ndarray) -> RigidMotions | None:
-        """The free motions of a problem, None if it has none or its near_nullspace is unknown."""
+        """Return the free motions of a problem, None if it has none or its near_nullspace is unknown."""
         coefficients, cartesian = _free_motions(problem)
         if not coefficients.shape[1]:
             return None

@@ -90,7 +90,7 @@ class SplitMatrix:
             self.lower_indices, self.lower, self.inverse = again.lower_indices, again.lower, again.inverse
 
     def at_slots(self, slots: np.ndarray) -> np.ndarray:
-        """The blocks at slots (L first, then the diagonal, then U), flat."""
+        """Return the blocks at slots (L first, then the diagonal, then U), flat."""
         size, n, below = self.dim**2, self.n_nodes, int(self.lower_indptr[-1])
         result = np.empty((len(slots), size))
         in_lower, in_upper = slots < below, slots >= below + n
@@ -124,14 +124,14 @@ class SplitMatrix:
         return order, np.append(0, np.cumsum(np.bincount(row, minlength=self.n_nodes))), column[order]
 
     def dense(self) -> np.ndarray:
-        """The whole matrix (n_dofs, n_dofs) as an array; needs ``diagonal``."""
+        """Return the whole matrix (n_dofs, n_dofs) as an array; needs ``diagonal``."""
         result = np.zeros((self.n_nodes, self.dim, self.n_nodes, self.dim))
         for (row, column), blocks in zip(self._places, self._blocks, strict=True):
             result[row, :, column] = blocks
         return result.reshape(self.n_dofs, self.n_dofs)
 
     def matrix(self) -> sparse.bsr_array:
-        """The whole matrix (n_dofs, n_dofs), sorted; needs ``diagonal``."""
+        """Return the whole matrix (n_dofs, n_dofs), sorted; needs ``diagonal``."""
         order, indptr, indices = self._order
         return sparse.bsr_array((np.concatenate(self._blocks)[order], indices, indptr), shape=(self.n_dofs,) * 2)
 
@@ -162,16 +162,16 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
 
 
 def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
-    """Prolongations between neighbours, coarsest first, columns sorted."""
+    """Return the prolongations between neighbours, coarsest first, columns sorted."""
     # a copy where they are not: the hierarchy's own stays
     return [P if P.has_sorted_indices else indices_frozen(P.sorted_indices())
             for P in (level.prolongation for level in hierarchy.levels[1:])]
 
 
 def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
-    """Galerkin matrices of all levels, coarsest first. Where the discretised matrix is the Galerkin one (nested meshes)
-    it is taken over; not with coupled bodies, whose truncated matrices need more entries near contact. The finest
-    matrix, which no truncation changes, is symmetric."""
+    """Return the Galerkin matrices of all levels, coarsest first. Where the discretised matrix is the Galerkin one
+    (nested meshes) it is taken over; not with coupled bodies, whose truncated matrices need more entries near contact.
+    The finest matrix, which no truncation changes, is symmetric."""
     matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
     result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
     for above, level, nodal in zip(reversed(hierarchy.levels[1:]), reversed(hierarchy.levels[:-1]),
@@ -204,8 +204,8 @@ def _nested(above: Level, level: Level, matrix: sparse.bsr_array, nodal: sparse.
 
 def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array,
                 tolerance: float = 1e-9) -> bool:
-    """Whether ``coarse`` is P'AP, seen on one pseudo-random vector, row by row relative to the sizes of what it sums:
-    next to a stiff body a soft one would go unseen."""
+    """Return whether ``coarse`` is P'AP, seen on one pseudo-random vector, row by row relative to the sizes of what it
+    sums: next to a stiff body a soft one would go unseen."""
     arrays = map(read_only, (coarse.indptr, coarse.indices, coarse.data.reshape(-1)))
     transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data
     probe = np.random.default_rng(0).random(coarse.shape[0]) - 0.5
@@ -232,7 +232,7 @@ ONE = np.uint64(1)
 
 @kernel
 def agrees(first, last, zero, indptr, indices, data, v, image, tolerance):
-    """Whether rows of A v are those of ``image`` up to a share of the sum of sizes."""
+    """Return whether rows of A v are those of ``image`` up to a share of the sum of sizes."""
     dim = len(zero)
     for i in range(first, last):
         for a in range(dim):
@@ -249,7 +249,7 @@ def agrees(first, last, zero, indptr, indices, data, v, image, tolerance):
 
 @kernel
 def count(first, last, order, indptr, indices, rank, lower_counts, upper_counts):
-    """Blocks of the rows in both halves, one place further: what row pointers are summed from."""
+    """Count the blocks of the rows in both halves, one place further: what row pointers are summed from."""
     for place in range(first, last):
         i = order[place]
         below = 0
@@ -286,9 +286,9 @@ def _mask(dim, i, first, last, indices, data, free):
 @kernel
 def distribute(first, last, order, zero, indptr, indices, data, rank, free, held, lower_indptr, lower_indices, lower,
                upper_indptr, upper_indices, upper, diagonal, inverse):
-    """Blocks into L, U (unless it is empty), D and its inverse (see :func:`invert_block`), without the couplings of
-    fixed dofs; blocks of a duplicate or missing diagonal are summed or zero. ``held`` tells the nodes with fixed dofs.
-    """
+    """Distribute blocks into L, U (unless it is empty), D and its inverse (see :func:`invert_block`), without the
+    couplings of fixed dofs; blocks of a duplicate or missing diagonal are summed or zero. ``held`` tells the nodes with
+    fixed dofs."""
     dim, own = len(zero), np.int64(len(zero)**2)
     size, both = np.uint64(own), len(upper_indptr) > 0
     block, scale = np.empty(own), np.empty(dim)
@@ -330,8 +330,8 @@ def distribute(first, last, order, zero, indptr, indices, data, rank, free, held
 
 @inner_kernel
 def invert_block(dim, block, scale, result, at):
-    """The inverse of a block (dim * dim,) with diagonal scale, zero in rows and columns of vanishing diagonal entries.
-    ``scale`` (dim,) is what the entry was before truncation; Gauss-Jordan elimination on the rest. Written to
+    """Compute the inverse of a block (dim * dim,) with diagonal scale, zero in rows and columns of vanishing diagonal
+    entries. ``scale`` (dim,) is what the entry was before truncation; Gauss-Jordan elimination on the rest. Written to
     ``result`` from position ``at``; ``block`` is destroyed."""
     for c in range(dim * dim):
         result[at + c] = 0.0

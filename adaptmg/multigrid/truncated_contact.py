@@ -51,7 +51,7 @@ class TruncatedContact:
 
     @classmethod
     def of(cls, problem: DiscreteProblem, level: SplitMatrix) -> TruncatedContact:
-        """The contact nodes of a level whose matrix is ``level``."""
+        """Return the contact nodes of a level whose matrix is ``level``."""
         dim, (contact, frames) = problem.dim, local_contact(problem)
         nodes = problem.contact.nodes.astype(np.int32)
         contact_of = np.full(problem.n_nodes, -1, dtype=np.int32)
@@ -82,7 +82,7 @@ class TruncatedContact:
         self.codes = codes
 
     def way(self, unknowns: np.ndarray) -> float:
-        """The share of a change to unknowns (n_dofs,) at which its first open node closes, at most 1."""
+        """Return the share of a change to unknowns (n_dofs,) at which its first open node closes, at most 1."""
         n, dim = len(self.nodes), self.dim
         normals, before = self.frames.reshape(n, dim, dim)[:, 0], self.values.reshape(n, dim)[:, 0]
         change = np.einsum("nd,nd->n", normals, unknowns.reshape(-1, dim)[self.nodes]) - before
@@ -139,7 +139,7 @@ class TruncatedContact:
         return cut
 
     def admits(self, unknowns: np.ndarray) -> bool:
-        """Whether a recombined iterate closes open nodes or reverses slips at few nodes, which the projection cuts."""
+        """Return whether an iterate closes open nodes or reverses slips at few nodes, which the projection cuts."""
         frames = self.frames.reshape(-1, self.dim, self.dim)
         local = (frames @ unknowns.reshape(-1, self.dim, 1)[self.nodes])[:, :, 0]
         reference = self.reference.reshape(-1, self.dim - 1)
@@ -149,8 +149,8 @@ class TruncatedContact:
         return bool(cut.sum() <= 1 + self.FEW * len(self.nodes))
 
     def friction_slope(self, before: np.ndarray, alpha: float) -> float:
-        """The slope of sum g |slip| at alpha minus that at 0 along the step from local unknowns ``before``; slipping
-        nodes only."""
+        """Return the slope of sum g |slip| at alpha minus that at 0 along the step from local unknowns ``before``;
+        slipping nodes only."""
         old, new = (values.reshape(-1, self.dim)[:, 1:] for values in (before, self.values))
         slip, change = old - self.reference.reshape(-1, self.dim - 1), new - old
         moved = slip + alpha * change

@@ -57,7 +57,7 @@ class _ChangedDofs(_Changed):
     @classmethod
     def of(cls, level: SplitMatrix, weights: sparse.csr_array, dofs: np.ndarray,
            pattern: sparse.csr_array) -> _ChangedDofs:
-        """From the weights of the changed dofs, the coarse ones they reach, and the pattern of the change (ones)."""
+        """Build from the weights of changed dofs, the coarse ones they reach, and the pattern of the change (ones)."""
         order = sparse.coo_array(pattern)
         keys = np.sort(order.row.astype(np.int64) * len(dofs) + order.col)
         rows, columns = dofs[keys // len(dofs)], dofs[keys % len(dofs)]
@@ -247,8 +247,8 @@ def _truncated(a, code):
 @kernel
 def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, friction, direction, hessian, newton, change,
                    block, other):
-    """Delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen). ``block``
-    and ``other`` (dim, dim) are overwritten."""
+    """Compute delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen).
+    ``block`` and ``other`` (dim, dim) are overwritten."""
     size, m = dim * dim, dim - 1
     no, yes = np.bool_(False), np.bool_(True)  # _turn would be compiled again for each constant
     for e in range(len(rows)):
@@ -283,7 +283,7 @@ def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, fricti
 
 @inner_kernel
 def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank):
-    """Slot of block (row, column), -1 where the matrix has none."""
+    """Return the slot of block (row, column), -1 where the matrix has none."""
     n = len(l_indptr) - 1
     below = np.int64(l_indptr[n])
     if row == column:
@@ -309,7 +309,7 @@ def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank):
 
 @kernel
 def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, rank, slots):
-    """Slots of many blocks."""
+    """Find the slots of many blocks."""
     for k in range(len(rows)):
         slots[k] = find_slot(rows[k], columns[k], l_indptr, l_indices, u_indptr, u_indices, rank)
 
@@ -317,9 +317,9 @@ def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, rank, sl
 @kernel
 def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indices, u_indptr, u_indices, rank, number,
                        source, target, weight, slots, coarse_rows, coarse_columns):
-    """Where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``. ``number`` (slots of
-    the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number, the number of products, and
-    how many of them found no place in the coarse matrix."""
+    """Find where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``. ``number``
+    (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number, the number of
+    products, and how many of them found no place in the coarse matrix."""
     count = 0
     met = 0
     lost = 0
@@ -343,7 +343,7 @@ def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indi
 
 @kernel
 def add_contributions(size, source, target, weight, fine, coarse):
-    """coarse = sum of weight * fine over the products."""
+    """Compute coarse = sum of weight * fine over the products."""
     coarse[:] = 0.0
     for c in range(len(source)):
         at, to, factor = size * np.int64(source[c]), size * np.int64(target[c]), weight[c]

@@ -47,15 +47,15 @@ class VolumePressures:
         return self.volumes.areas * self.volumes.modulus
 
     def missed(self, unknowns: np.ndarray) -> np.ndarray:
-        """What volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed values."""
+        """Return what volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed values."""
         return self.volumes.missed(unknowns, self.values) + self._prescribed
 
     def uniform(self) -> list[np.ndarray]:
-        """For each body the pressures (n_groups,) that are 1 in it."""
+        """Return for each body the pressures (n_groups,) that are 1 in it."""
         return [(self.volumes.body == k).astype(float) for k in np.unique(self.volumes.body)]
 
     def forces_missed(self, missed: np.ndarray) -> float:
-        """Sum of squares of the same as forces, N^2."""
+        """Return the sum of squares of the same as forces, N^2."""
         forces = self.volumes.scale * missed
         return float(np.einsum("i,i->", forces, forces))
 
@@ -79,7 +79,7 @@ class VolumePressures:
 
 def prolonged_pressures(coarse: DiscreteProblem, fine: DiscreteProblem, nodal: sparse.csr_array,
                         pressures: np.ndarray | None) -> np.ndarray | None:
-    """Pressures of the groups of a finer level; ``nodal`` is the prolongation, between bodies of relative values."""
+    """Interpolate pressures to a finer level; ``nodal`` is the prolongation, between bodies of relative values."""
     if coarse.volumes is None or fine.volumes is None or pressures is None:
         return None
     values = coarse.volumes.at_nodes(pressures)

@@ -29,7 +29,7 @@ def in_loop(function: Callable) -> Callable:
 
 @in_loop
 def read(array, at, like):
-    """The vector at a position, as long as ``like``."""
+    """Return the vector at a position, as long as ``like``."""
     if len(like) == 1:
         return (array[at],)
     if len(like) == 2:
@@ -49,7 +49,7 @@ def write(array, at, v):
 
 @in_loop
 def nothing(like):
-    """Zeros, as many as ``like`` has entries."""
+    """Return zeros, as many as ``like`` has entries."""
     if len(like) == 2:
         return 0.0, 0.0
     return 0.0, 0.0, 0.0
@@ -57,7 +57,7 @@ def nothing(like):
 
 @in_loop
 def add(v, w):
-    """v + w."""
+    """Return v + w."""
     if len(v) == 1:
         return (v[0] + w[0],)
     if len(v) == 2:
@@ -67,7 +67,7 @@ def add(v, w):
 
 @in_loop
 def subtract(v, w):
-    """v - w."""
+    """Return v - w."""
     if len(v) == 1:
         return (v[0] - w[0],)
     if len(v) == 2:
@@ -77,7 +77,7 @@ def subtract(v, w):
 
 @in_loop
 def scale(factor, v):
-    """A number times v."""
+    """Return a number times v."""
     if len(v) == 1:
         return (factor * v[0],)
     if len(v) == 2:
@@ -87,7 +87,7 @@ def scale(factor, v):
 
 @in_loop
 def negative(v):
-    """-v."""
+    """Return -v."""
     if len(v) == 1:
         return (-v[0],)
     if len(v) == 2:
@@ -97,7 +97,7 @@ def negative(v):
 
 @in_loop
 def multiply(v, w):
-    """Component by component."""
+    """Multiply component by component."""
     if len(v) == 2:
         return v[0] * w[0], v[1] * w[1]
     return v[0] * w[0], v[1] * w[1], v[2] * w[2]
@@ -105,7 +105,7 @@ def multiply(v, w):
 
 @in_loop
 def inner(v, w):
-    """v'w."""
+    """Return v'w."""
     if len(v) == 1:
         return v[0] * w[0]
     if len(v) == 2:
@@ -115,7 +115,7 @@ def inner(v, w):
 
 @in_loop
 def times(blocks, at, v):
-    """The block at a position times v."""
+    """Return the block at a position times v."""
     if len(v) == 1:
         return (blocks[at] * v[0],)
     if len(v) == 2:
@@ -127,7 +127,7 @@ def times(blocks, at, v):
 
 @in_loop
 def minus_times(r, blocks, at, v):
-    """r minus the block at a position times v."""
+    """Return r minus the block at a position times v."""
     if len(v) == 2:
         return (r[0] - blocks[at] * v[0] - blocks[at + ONE] * v[1],
                 r[1] - blocks[at + TWO] * v[0] - blocks[at + THREE] * v[1])
@@ -136,7 +136,7 @@ def minus_times(r, blocks, at, v):
 
 @in_loop
 def transposed_times(blocks, at, v):
-    """The transpose of the block at a position times v."""
+    """Return the transpose of the block at a position times v."""
     if len(v) == 1:
         return (blocks[at] * v[0],)
     if len(v) == 2:
@@ -148,7 +148,7 @@ def transposed_times(blocks, at, v):
 
 @in_loop
 def upper(blocks, at, like):
-    """The upper triangle, row by row, of the block at a position."""
+    """Return the upper triangle, row by row, of the block at a position."""
     if len(like) == 2:
         return blocks[at], blocks[at + ONE], blocks[at + THREE]
     return (blocks[at], blocks[at + ONE], blocks[at + TWO], blocks[at + FOUR], blocks[at + FIVE], blocks[at + EIGHT])
@@ -156,7 +156,7 @@ def upper(blocks, at, like):
 
 @in_loop
 def read_upper(triangles, k, like):
-    """The k-th of the upper triangles of symmetric blocks."""
+    """Return the k-th of the upper triangles of symmetric blocks."""
     if len(like) == 2:
         at = THREE * k
         return triangles[at], triangles[at + ONE], triangles[at + TWO]
@@ -167,7 +167,7 @@ def read_upper(triangles, k, like):
 
 @in_loop
 def over(m, divisor):
-    """An upper triangle over a number."""
+    """Return an upper triangle over a number."""
     if len(m) == 3:
         return m[0] / divisor, m[1] / divisor, m[2] / divisor
     return m[0] / divisor, m[1] / divisor, m[2] / divisor, m[3] / divisor, m[4] / divisor, m[5] / divisor
@@ -175,7 +175,7 @@ def over(m, divisor):
 
 @in_loop
 def plus_symmetric(v, m, w):
-    """v + M w, M symmetric, given by its upper triangle."""
+    """Return v + M w, M symmetric, given by its upper triangle."""
     if len(v) == 2:
         return v[0] + m[0] * w[0] + m[1] * w[1], v[1] + m[1] * w[0] + m[2] * w[1]
     return (v[0] + m[0] * w[0] + m[1] * w[1] + m[2] * w[2], v[1] + m[1] * w[0] + m[3] * w[1] + m[4] * w[2],
@@ -184,7 +184,7 @@ def plus_symmetric(v, m, w):
 
 @in_loop
 def inverse_square(blocks, at, v):
-    """v' B^-1 v for the symmetric block B at a position."""
+    """Return v' B^-1 v for the symmetric block B at a position."""
     m = upper(blocks, at, v)
     if len(v) == 2:
         return (m[2] * v[0] * v[0] - 2.0 * m[1] * v[0] * v[1] + m[0] * v[1] * v[1]) / (m[0] * m[2] - m[1] * m[1])

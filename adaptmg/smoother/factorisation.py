@@ -37,7 +37,7 @@ _ENTRIES = {2: 15, 3: 45}
 
 
 def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED) -> bool:
-    """Whether a problem has at most the work for factors that linear elements with these numbers of dofs have."""
+    """Return whether the work for factors is at most that of linear elements with these numbers of dofs."""
     entries, n = problem.matrix.nnz, problem.n_dofs
     if problem.volumes is not None:
         # every second entry that its rows bring to the formed matrix is one of the other rows, too
@@ -46,7 +46,7 @@ def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED)
 
 
 def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
-    """The dofs of nodes in turn, ``size`` each."""
+    """Return the dofs of nodes in turn, ``size`` each."""
     return (size * nodes.astype(np.int64)[:, None] + np.arange(size)).reshape(-1)
 
 
@@ -93,14 +93,14 @@ _LANDMARKS = 3
 
 
 def node_graph(matrix: sparse.bsr_array) -> sparse.csr_array:
-    """The graph (n_nodes, n_nodes) of the blocks of a matrix, all weights 1."""
+    """Return the graph (n_nodes, n_nodes) of the blocks of a matrix, all weights 1."""
     n = matrix.shape[0] // matrix.blocksize[0]
     return sparse.csr_array((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(n, n))
 
 
 def nested_dissection(graph: sparse.csr_array, coordinates: np.ndarray | None = None,
                       last: np.ndarray | None = None) -> np.ndarray:
-    """Order of elimination."""
+    """Return the order of elimination."""
     if coordinates is None:
         coordinates = graph_coordinates(graph)
     path = np.zeros(graph.shape[0], dtype=np.int64)
@@ -111,7 +111,7 @@ def nested_dissection(graph: sparse.csr_array, coordinates: np.ndarray | None = 
 
 
 def graph_coordinates(graph: sparse.csr_array) -> np.ndarray:
-    """Distances in the graph (n, k) from nodes far from each other, each connected part shifted apart."""
+    """Return the distances in the graph (n, k) from nodes far from each other, each connected part shifted apart."""
     n_parts, part = connected_components(graph, directed=False)
     # any node of each part, then the farthest from it, the farthest from that, ...; the first is far from nothing
     landmarks = np.unique(part, return_index=True)[1]
@@ -198,7 +198,7 @@ class Eliminated:
         return particular, residual[self.contact] + self._stiffness(particular[self.contact])
 
     def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
-        r"""The solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve."""
+        r"""Return the solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve."""
         rhs = np.zeros_like(particular)
         rhs[self.contact] = self._stiffness(unknowns - particular[self.contact])
         result = particular + self.factors.solve(rhs)
@@ -245,11 +245,11 @@ class Condensed(Eliminated):
         return replace(full, system=dense, load=np.where(fixed, 0.0, self.reduced[1]))
 
     def restrict(self, unknowns: np.ndarray) -> np.ndarray:
-        """The entries (n_contact * dim,) at contact nodes of a vector over all dofs."""
+        """Return the entries (n_contact * dim,) at contact nodes of a vector over all dofs."""
         return unknowns[self.contact]
 
     def recover(self, unknowns: np.ndarray) -> np.ndarray:
-        """All unknowns from those at the contact nodes, local components."""
+        """Return all unknowns from those at the contact nodes, local components."""
         result = self.complete(self.reduced[0], unknowns)
         rest = self.full.load - self.full.system.matrix @ result
         return result + self.complete(self.reduce(rest)[0], np.zeros_like(unknowns))

@@ -95,7 +95,7 @@ class _Method:
         return self.span.factors(np.ascontiguousarray(self.blocks[:, :self.dim, :self.dim]))
 
     def iterate(self) -> Interior:
-        """The present iterate, measured."""
+        """Return the present iterate, measured."""
         product, forces = self.span.product(self.unknowns), self.state[:, [3, 6, 7][:self.dim]]
         self.rest = self.load - product - self.span.restricted(forces)
         self.total, apart, width = _measure(self.state, *self.nodes)
@@ -141,16 +141,16 @@ class Span(Protocol):
     """The unknowns e of a matrix S, and what they mean at contact nodes."""
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
-        """S e."""
+        """Return S e."""
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:
-        """B e (n_contact, dim)."""
+        """Return B e (n_contact, dim)."""
 
     def restricted(self, forces: np.ndarray) -> np.ndarray:
-        """B'q of forces (n_contact, dim)."""
+        """Return B'q of forces (n_contact, dim)."""
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        """What solves with S + B'DB, D the blocks (n_contact, dim, dim) of the nodes; None where that is singular."""
+        """Factor S + B'DB, D the blocks (n_contact, dim, dim) of the nodes; return None where that is singular."""
 
 
 class ContactDofs:
@@ -183,7 +183,7 @@ class ContactDofs:
 
 
 def dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-    """What solves with a matrix, which is overwritten; None where it is singular."""
+    """Factor a matrix, which is overwritten; return None where it is singular."""
     lower, pivots, info = linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
     return None if info else lambda rhs: linalg.lapack.dgetrs(lower, pivots, rhs, trans=1)[0]
 

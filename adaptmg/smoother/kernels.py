@@ -37,8 +37,8 @@ ONE = np.uint64(1)
 
 @in_loop
 def minus_row(i, step, indptr, indices, data, w, r):
-    """r minus row i of a matrix (or half of one) times w. ``step``, 1 or -1, is the direction in which the matrix is
-    read."""
+    """Return r minus row i of a matrix (or half of one) times w. ``step``, 1 or -1, is the direction in which the
+    matrix is read."""
     dim = np.uint64(len(r))
     begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
     first = begin if step > 0 else end - np.int64(1)
@@ -50,7 +50,7 @@ def minus_row(i, step, indptr, indices, data, w, r):
 
 @in_loop
 def minus_transposed_row(i, step, indptr, indices, data, d, w):
-    """w minus the transpose of row i of a half times d, in place."""
+    """Subtract the transpose of row i of a half times d from w, in place."""
     dim = np.uint64(len(d))
     begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
     first = begin if step > 0 else end - np.int64(1)
@@ -79,7 +79,7 @@ def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, w, ome
 @kernel
 def sweep(zero, first, step, indptr, indices, data, diagonal, inverse, contact_of, gap, reference, limit, friction,
           load, w, omega):
-    """One sweep over all nodes: ``first, step`` are 0, 1 (forward) or n_nodes - 1, -1 (backward); changes ``w``."""
+    """Sweep over all nodes, changing ``w``: ``first, step`` are 0, 1 (forward) or n_nodes - 1, -1 (backward)."""
     dim = np.uint64(len(zero))
     for k in range(len(contact_of)):
         i = np.uint64(first + k * step)
@@ -94,7 +94,7 @@ def sweep(zero, first, step, indptr, indices, data, diagonal, inverse, contact_o
 
 @kernel
 def residual(zero, indptr, indices, data, load, w, result):
-    """b - A w into ``result`` (n_dofs,)."""
+    """Write b - A w into ``result`` (n_dofs,)."""
     dim = np.uint64(len(zero))
     for node in range(len(indptr) - 1):
         i = np.uint64(node)
@@ -103,7 +103,7 @@ def residual(zero, indptr, indices, data, load, w, result):
 
 @kernel
 def natural_residual(zero, nodes, diagonal, gap, reference, limit, friction, w, result):
-    """D (prox_D(w + D^-1 r) - w) at the contact nodes of ``result`` (n_dofs,), which comes as r = b - A w.
+    """Write D (prox_D(w + D^-1 r) - w) at the contact nodes of ``result`` (n_dofs,), which comes as r = b - A w.
 
     The limit is frozen at s + mu p(w); away from contact r is the natural residual.
     """

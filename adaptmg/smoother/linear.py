@@ -39,7 +39,7 @@ class LinearSolution:
 
 
 def solution_of(linear: LinearSolver, prepared: Prepared, rhs: np.ndarray, rtol: float) -> LinearSolution:
-    """What a linear solver, perhaps user-defined, returns for a right-hand side, checked."""
+    """Return what a linear solver, perhaps user-defined, returns for a right-hand side, checked."""
     name = f"linear: what {checks.shown(linear)}"
     checks.offers(f"{name} prepares", prepared, "solve", "an object that offers solve(rhs, start, rtol)")
     solution = prepared.solve(rhs, rtol=rtol)

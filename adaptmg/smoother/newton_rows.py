@@ -97,7 +97,7 @@ def _beside_held(contact: NodalContact, tau: np.ndarray, residual: np.ndarray, e
 
 
 def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) -> Linearised:
-    """Every node that has an obstacle touches and, where the law has friction, sticks."""
+    """Let every node that has an obstacle touch and, where the law has friction, stick."""
     active = np.isfinite(contact.gap)
     slip = ~((contact.limit > 0) | (active & (contact.friction > 0)))
     zero = np.zeros(len(active))

@@ -49,7 +49,7 @@ MAX_STEPS = 200
 
 @in_loop
 def solve(m, c, gap, reference, limit, friction):
-    """The problem of one node in 2D or 3D: block (upper triangle), force and reference as tuples, so is w."""
+    """Solve the problem of one node in 2D or 3D: block (upper triangle), force and reference as tuples, so is w."""
     if len(c) == 2:
         return solve_2d(m[0], m[1], m[2], c[0], c[1], gap, reference[0], limit, friction)
     return solve_3d(m[0], m[1], m[2], m[3], m[4], m[5], c[0], c[1], c[2], gap, reference[0], reference[1], limit,
@@ -58,14 +58,14 @@ def solve(m, c, gap, reference, limit, friction):
 
 @in_loop
 def natural_at(d, r, w, gap, reference, limit):
-    """The natural residual D (prox_D(w + D^-1 r) - w) of one node, its bound held at ``limit``."""
+    """Return the natural residual D (prox_D(w + D^-1 r) - w) of one node, its bound held at ``limit``."""
     change = subtract(solve(d, plus_symmetric(r, d, w), gap, reference, limit, 0.0), w)
     return plus_symmetric(nothing(w), d, change)
 
 
 @in_loop
 def read_reference(reference, k, like):
-    """The tangential displacement of zero slip of contact node k, a tuple with one entry less than ``like``."""
+    """Return the tangential displacement of zero slip of contact node k, a tuple with one entry less than ``like``."""
     if len(like) == 2:
         return (reference[k],)
     return reference[TWO * k], reference[TWO * k + ONE]
@@ -179,7 +179,7 @@ def _slip_beside(b: float, c: float, a: float, p_stick: float, held: float, limi
 @kernel(fastmath=False)
 def slip_3d(b_11: float, b_12: float, b_22: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
             limit: float, friction: float) -> tuple[float, float]:
-    r"""The slip of a node in 3D with :math:`p = \max(0, p_0 - a\cdot\tau)`."""
+    r"""Return the slip of a node in 3D with :math:`p = \max(0, p_0 - a\cdot\tau)`."""
     if math.hypot(c_1, c_2) <= limit + friction * max(p_stick, 0.0):
         return 0.0, 0.0
     # Jacobi rotation to the eigenbasis of B; none where b_12 = 0, so that a fixed, decoupled tangent stays at zero

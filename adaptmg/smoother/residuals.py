@@ -41,7 +41,7 @@ def natural_residual(system: LocalSystem, contact: NodalContact, load: np.ndarra
 
 
 def natural_at_nodes(contact: NodalContact, blocks: np.ndarray, values: np.ndarray, linear: np.ndarray) -> np.ndarray:
-    """The natural residual at contact nodes (n_contact, dim), from their diagonal blocks, unknowns and b - A w."""
+    """Return the natural residual (n_contact, dim), from diagonal blocks of contact nodes, unknowns and b - A w."""
     result, dim = np.array(linear).reshape(-1), values.shape[1]
     nodes = np.arange(len(values), dtype=np.int32)
     kernels.natural_residual(ZERO[dim], nodes, np.ascontiguousarray(blocks).reshape(-1), contact.gap,

@@ -25,7 +25,7 @@ FEWEST = 4
 
 
 def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
-    """A v (n,), summed as scipy does."""
+    """Return A v (n,), summed as scipy does."""
     arrays = map(read_only, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)))
     result, zero = np.empty(matrix.shape[0]), (0.0,) * matrix.blocksize[0]
     threads.in_parts(_multiply, len(matrix.indptr) - 1, matrix.data.size, zero, *arrays, vector, result)
@@ -54,9 +54,9 @@ class Strips:
 
     @classmethod
     def of(cls, indptr: np.ndarray, indices: np.ndarray, block: int, stored: bool = True) -> Strips:
-        """The strips of a matrix with a symmetric pattern, sorted columns, and ``block`` entries a block. Where numbers
-        have little to do with places, strips go by distance in the graph: sweeps then jump in memory, by a third slower
-        even if rows are ``stored`` in their order, so that one thread does without."""
+        """Return the strips of a matrix with a symmetric pattern, sorted columns, and ``block`` entries a block. Where
+        numbers have little to do with places, strips go by distance in the graph: sweeps then jump in memory, by a
+        third slower even if rows are ``stored`` in their order, so that one thread does without."""
         n = len(indptr) - 1
         own = np.arange(n, dtype=np.int32)
         if block * len(indices) < threads.LARGE:

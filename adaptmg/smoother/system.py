@@ -98,7 +98,7 @@ class LocalSystem:
 
 
 def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
-    """Inverses of (n, dim, dim) blocks; ValueError names the first singular one."""
+    """Return the inverses of (n, dim, dim) blocks; ValueError names the first singular one."""
     try:
         inverse = np.linalg.inv(blocks)
     except np.linalg.LinAlgError:
@@ -146,20 +146,20 @@ def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) ->
 
 
 def local_contact(problem: DiscreteProblem) -> tuple[NodalContact, np.ndarray]:
-    """The contact data of a problem in local components, and the frames (n_contact, dim, dim): no matrix is touched."""
+    """Return contact data in local components, and the frames (n_contact, dim, dim): the matrix is not touched."""
     frames, fixed = frames_and_fixed(problem)
     return _nodal_contact(problem, frames, fixed), frames
 
 
 def held_tangents(problem: DiscreteProblem) -> np.ndarray:
-    """Tangents at contact nodes that a support holds (n_contact, dim - 1) bool."""
+    """Return the tangents at contact nodes that a support holds (n_contact, dim - 1) bool."""
     return frames_and_fixed(problem)[1].reshape(-1, problem.dim)[problem.contact.nodes, 1:]
 
 
 @remembered_of_structure
 def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
-    """Diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as :func:`local_system` has them.
-    Without rotating the matrix: only these blocks are read."""
+    """Return the diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as
+    :func:`local_system` has them. Without rotating the matrix: only these blocks are read."""
     matrix, nodes, (contact, frames) = problem.matrix, problem.contact.nodes, local_contact(problem)
     counts = np.diff(matrix.indptr)[nodes]
     at = np.repeat(matrix.indptr[nodes] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
@@ -203,8 +203,8 @@ def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) ->
 
 @remembered_of_structure
 def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Frames (n_contact, dim, dim), and fixed dofs (n_dofs,) in local components: at contact nodes a tangent that is a
-    fixed Cartesian axis."""
+    """Return the frames (n_contact, dim, dim), and fixed dofs (n_dofs,) in local components: at contact nodes a tangent
+    that is a fixed Cartesian axis."""
     dim = problem.dim
     fixed = problem.fixed.reshape(-1, dim).copy()
     frames = frames_of(problem.contact, fixed)
@@ -250,12 +250,12 @@ TANGENTIAL = 6
 
 
 def contact_codes(closed: np.ndarray, held: np.ndarray, backwards: np.ndarray | bool = False) -> np.ndarray:
-    """Codes (n,) int8 of nodes that are closed or not, and held or else slip; ``backwards`` counts where they slip."""
+    """Return codes (n,) int8 of nodes: closed or not, and held or else slip; ``backwards`` counts where they slip."""
     return (np.where(held, HELD, np.where(backwards, BACKWARDS, SLIPS)) + CLOSED * closed).astype(np.int8)
 
 
 def contact_states(codes: np.ndarray, normal_force: np.ndarray) -> np.ndarray:
-    """States (n,) int8 of nodes with these codes and the compressive forces p (n,), N."""
+    """Return the states (n,) int8 of nodes with these codes and the compressive forces p (n,), N."""
     state = np.where(codes & TANGENTIAL == HELD, ContactState.STICK, ContactState.SLIP).astype(np.int8)
     state[(codes & CLOSED == 0) | (normal_force == 0)] = ContactState.OPEN
     return state

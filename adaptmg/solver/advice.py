@@ -41,7 +41,7 @@ _SAID: ContextVar[set[str] | None] = ContextVar("said", default=None)
 
 @contextmanager
 def once(said: set[str] | None = None) -> Iterator[None]:
-    """Inside give each kind of warning once; ``said`` collects the kinds, an outer block has precedence."""
+    """Give each kind of warning once in this block; ``said`` collects the kinds, an outer block has precedence."""
     if _SAID.get() is not None:
         yield
         return

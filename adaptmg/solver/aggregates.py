@@ -388,7 +388,7 @@ class CoarseMatrix:
 
 
 def raised(diagonal: np.ndarray) -> np.ndarray:
-    """What is added to the diagonal of the coarse matrix."""
+    """Return what is added to the diagonal of the coarse matrix."""
     # motions that the status takes away altogether
     most = diagonal.max(initial=0.0)
     return np.where(diagonal > 1e-14 * most, _SHIFT * diagonal, most)

@@ -77,7 +77,7 @@ class Controls:
         self.places = self.placed({}, {})  # from there the discretisation counts slips
 
     def posed(self) -> list[list[float]]:
-        """Prescribed motions and forces as numbers, for stores; -1e300 where nothing is prescribed."""
+        """Return the prescribed motions and forces as numbers, for stores; -1e300 where nothing is prescribed."""
         result = [[*np.nan_to_num(one.targets, nan=-1e300), *one.about] if isinstance(one, Rigid)
                   else [*one.displacement, *one.rotation, *one.about]
                   for obstacle in self.obstacles.values() for one in moving_parts(obstacle)]
@@ -85,7 +85,7 @@ class Controls:
         return [list(map(float, one)) for one in result]
 
     def unknowns(self, factors: Mapping[str, float]) -> list[_Unknowns]:
-        """What is to be found in a step with these factors."""
+        """Return what is to be found in a step with these factors."""
         result: list[_Unknowns] = []
         if not self.rigid and not self.bolts:
             return result
@@ -116,7 +116,7 @@ class Controls:
         return result
 
     def start(self, parts: Sequence[_Unknowns]) -> np.ndarray:
-        """Where the iteration begins: where the step before ended; the first time obstacles approach the body."""
+        """Return the start of the iteration: the end of the step before; the first time obstacles approach the body."""
         return np.concatenate([self.motions[part.name][list(part.free)] if self.motions[part.name].any()
                                else self._approach(part) if part.number >= 0 else part.sizes for part in parts])
 
@@ -136,7 +136,7 @@ class Controls:
         return motion[list(part.free)]
 
     def taken(self, parts: Sequence[_Unknowns], values: np.ndarray) -> dict[str, np.ndarray]:
-        """The motions with the values (n,) of the unknowns."""
+        """Return the motions with the values (n,) of the unknowns."""
         result = dict(self.motions)
         for part in parts:
             motion = result[part.name].copy()
@@ -145,12 +145,12 @@ class Controls:
         return result
 
     def placed(self, factors: Mapping[str, float], motions: Mapping[str, np.ndarray]) -> dict[int, Moving]:
-        """All moving obstacles in their places, by the number of their contact."""
+        """Return all moving obstacles in their places, by the number of their contact."""
         places = {k: placed(obstacle, factors, motions) for k, obstacle in self.obstacles.items()}
         return {k: place for k, place in places.items() if isinstance(place, Moving)}
 
     def missed(self, parts: Sequence[_Unknowns], result: Result) -> np.ndarray:
-        """By how much the forces of a result miss what is prescribed (n,), relative to the sizes of forces."""
+        """Return by how much the forces of a result miss what is prescribed (n,), relative to the sizes of forces."""
         missed = []
         for part in parts:
             if part.number >= 0:
@@ -166,8 +166,8 @@ class Controls:
     def find(self, parts: Sequence[_Unknowns],
              solve: Callable[[dict[str, np.ndarray], Result | None], tuple[Result, Kept]]
              ) -> tuple[Result, Kept, dict[str, np.ndarray]]:
-        """The result, what is kept of it, and the motions with which the forces are as prescribed; ``solve`` takes
-        motions and a result near theirs. Cycles and work are those of all contact problems together."""
+        """Return the result, what is kept of it, and the motions with which the forces are as prescribed; ``solve``
+        takes motions and a result near theirs. Cycles and work are those of all contact problems together."""
         sizes = np.concatenate([part.sizes for part in parts])
         tried: list[tuple[Result, Kept]] = []
 

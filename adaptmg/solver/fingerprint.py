@@ -171,7 +171,7 @@ class _Parts:
         return self._main if module in _MAIN else module
 
     def is_own(self, module: str) -> bool:
-        """Whether a module is one of the user's, and not compiled; of others the version or content becomes a part."""
+        """Return whether a module is the user's, and not compiled; of others the version or content becomes a part."""
         if version := _installed(module):
             top = module.split(".")[0]
             self._parts[top if top == "adaptmg" else f"package {top}"] = version

@@ -105,7 +105,7 @@ class StopTest:
         self.met = self._rounding or self._small_enough()
 
     def verdict(self) -> Status | None:
-        """How the iteration ends; None if it goes on."""
+        """Return how the iteration ends; None if it goes on."""
         if self.met and not self.doubted():
             return Status.CONVERGED
         if self.diverged:
@@ -118,8 +118,8 @@ class StopTest:
         return Status.LIMIT if self.cycles >= self.limit else None
 
     def at_rounding(self, floor: float) -> bool:
-        """Whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N. A large
-        residual at the level of rounding is that of unknowns that have run away."""
+        """Return whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N. A
+        large residual at the level of rounding is that of unknowns that have run away."""
         return self._last <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
 
     @property
@@ -127,7 +127,7 @@ class StopTest:
         return self.residual <= self.RESIDUAL_FACTOR * self.rtol or self._kept > 0
 
     def doubted(self) -> bool:
-        """Whether the certificate contradicts a test that is met."""
+        """Return whether the certificate contradicts a test that is met."""
         if self._rounding:
             return False
         if self.error_estimate > self.rtol and self.cycles < 1.5 * self._asked:
@@ -142,12 +142,12 @@ class StopTest:
         return ratio > 0.0
 
     def shortfall(self) -> float | None:
-        """By how many times the certificate finds the last iterate short of rtol; None if it is not asked."""
+        """Return by how many times the certificate finds the last iterate short of rtol; None if it is not asked."""
         return None if self._ask is None else self._ask(self.rtol)
 
     def certified(self) -> bool:
-        """Whether the certificate, if it was not asked, finds the last iterate good enough, whatever the estimate says:
-        near rounding no rate shows that any more, and after a refusal it is cautious."""
+        """Return whether the certificate, if it was not asked, finds the last iterate good enough, whatever the
+        estimate says: near rounding no rate shows that any more, and after a refusal it is cautious."""
         if self.cycles == self._asked or not self.residual_met or self.shortfall() != 0.0:
             return False
         self.error_estimate = min(self.error_estimate, self.rtol)
@@ -209,7 +209,7 @@ class StopTest:
 
 
 def true_error(error: np.ndarray, matrix: sparse.sparray | np.ndarray, problem: DiscreteProblem, run: Run) -> float:
-    """A-norm of an error (n_dofs,) over that of the reference of a run; its time is not counted."""
+    """Return the A-norm of an error (n_dofs,) over that of the reference of a run; its time is not counted."""
     with run.untimed():
         size = displacement_norm(problem, run.reference)
         return energy_norm(error, matrix @ error) / size if size > 0 else np.nan
@@ -232,7 +232,7 @@ class ChangeTest(StopTest):
         return Status.LIMIT if self.cycles >= self.limit else None
 
     def confirmed(self, status: Status, state: State, run: Run) -> Status:
-        """The status, unless the residual of the last state contradicts it."""
+        """Return the status, unless the residual of the last state contradicts it."""
         self._record(state, run)
         return Status.STALLED if status.ok and not self.residual_met else status
 
@@ -283,7 +283,7 @@ class Smoothing:
         raise NotImplementedError
 
     def residual(self) -> np.ndarray:
-        """b - A w (n_dofs,)."""
+        """Return b - A w (n_dofs,)."""
         raise NotImplementedError
 
     def correct(self, r: np.ndarray) -> int:

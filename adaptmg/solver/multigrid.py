@@ -48,7 +48,7 @@ class CustomCycles(Protocol):
     """A user-defined correction that brings its cycles."""
 
     def method(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> Method:
-        """What runs a :class:`Multigrid` with this correction."""
+        """Return what runs a :class:`Multigrid` with this correction."""
 
 
 #: the options of the method with projected sweeps on all levels, where they are not given
@@ -195,7 +195,7 @@ CONDENSED = 6_000
 
 
 def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
-    """The outcome, or where it leaves cycles to another method that of this one."""
+    """Return the outcome, or where it leaves cycles to another method that of this one."""
     problem = hierarchy.finest.discrete
     start = outcome.displacement if outcome.better else None
     if outcome.left and factorisable(problem):

@@ -67,7 +67,7 @@ class ProjectedRun:
         return self.finish(self.nested_start(start))
 
     def multigrid(self, finest: int) -> MultigridCycle:
-        """Cycles on level ``finest`` and those below."""
+        """Build cycles on level ``finest`` and those below."""
         with self.run.phase("setup"):
             levels = correction_levels(self.hierarchy, self.problems, finest, self.coarse_matrices)
         condensed = None
@@ -115,7 +115,7 @@ class ProjectedRun:
         return unknowns
 
     def finish(self, unknowns: np.ndarray) -> Outcome:
-        """Cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
+        """Run cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
         local = self.problems[-1]
         multigrid = self.multigrid(len(self.hierarchy) - 1)
         with self.run.phase("cycles"):

@@ -128,8 +128,8 @@ class Run:
             self._nested_seconds = outside + seconds
 
     def shortfall(self, solved: np.ndarray, rtol: float, pressures: np.ndarray | None = None) -> float:
-        """By how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not. Between
-        bodies in relative coordinates; with the pressures of volumes. Rounding is not a shortfall."""
+        """Return by how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not.
+        Between bodies in relative coordinates; with the pressures of volumes. Rounding is not a shortfall."""
         if self.examiner is None or not rtol > 0:
             return 0.0
         with self.phase("certificate"):

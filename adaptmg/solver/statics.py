@@ -64,9 +64,9 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
 
 
 def check_statics_of(grids: Hierarchy, *, coarse_first: bool = True) -> None:
-    """:func:`check_statics` on the finest level; where the coarsest one can be held the finest is not asked. A coarse
-    grid has the same rigid motions, loads and directions of contact and costs nothing; what it cannot hold the finest
-    one may (on a curved surface, say)."""
+    """Call :func:`check_statics` on the finest level; where the coarsest one can be held the finest is not asked. A
+    coarse grid has the same rigid motions, loads and directions of contact and costs nothing; what it cannot hold the
+    finest one may (on a curved surface, say)."""
     coarsest = grids[0].discrete_or_none
     if coarse_first and len(grids) > 1 and coarsest is not None and coarsest.near_nullspace is not None:
         try:
@@ -178,7 +178,7 @@ class _Forces:
     limits: np.ndarray  # (n_segments,)
 
     def least_unbalanced(self, work: np.ndarray) -> tuple[float, np.ndarray]:
-        """Smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it is done."""
+        """Return the smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it is done."""
         k, n_edges = self.edges.shape
         if k == 1:  # without the library of linear programmes, whose import takes a tenth of a first small solve
             balanced = (self.edges[0] * np.sign(work) < -_STILL).any()
@@ -198,7 +198,7 @@ class _Forces:
         return float(result.fun), -result.eqlin.marginals
 
     def let_go(self, motion: np.ndarray, work: np.ndarray) -> bool:
-        """Whether no admissible force balances ``work`` on this very motion."""
+        """Return whether no admissible force balances ``work`` on this very motion."""
         resisted = (motion @ self.edges < -_STILL).any()
         return not resisted and motion @ work - np.abs(motion @ self.segments) @ self.limits > _UNBALANCED
 
@@ -326,7 +326,7 @@ _SMALL, _SMALL_CONTACT = 1500, 200
 
 @remembered_of_structure
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
-    """The critical coefficient of each contact node if it touches alone."""
+    """Return the critical coefficient of each contact node if it touches alone."""
     dim, n = problem.dim, len(problem.contact)
     condensed = condense_problem(problem, lenient=True)
     values, vectors = np.linalg.eigh(condensed.matrix)

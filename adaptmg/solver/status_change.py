@@ -40,7 +40,7 @@ class AtNodes:
     friction: np.ndarray  # (n_contact, dim) N
 
     def forces(self, normals: np.ndarray) -> np.ndarray:
-        """Contact forces (n_contact, dim), N."""
+        """Return contact forces (n_contact, dim), N."""
         return self.friction - self.pressure[:, None] * normals
 
 
@@ -92,11 +92,11 @@ class _Coarse:
         return dense_factors(self.matrix + (self.rows.T @ (_by_node(blocks) @ self.rows)).toarray())
 
     def condense(self, load: np.ndarray) -> np.ndarray:
-        """Of forces (n_coarse,) what the condensed equations take."""
+        """Return what the condensed equations take of forces (n_coarse,)."""
         return load[self.near] - self._coupling.T @ self._solve(load[self.far])
 
     def recover(self, load: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """The displacement (n_dofs,) of condensed unknowns."""
+        """Return the displacement (n_dofs,) of condensed unknowns."""
         values = np.zeros(self.span.shape[1])
         values[self.near] = near
         values[self.far] = self._solve(load[self.far] - self._coupling @ near)
@@ -122,9 +122,9 @@ def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
 
 def changed_status(problem: DiscreteProblem, residual: np.ndarray, here: AtNodes, stiffness: np.ndarray,
                    limit: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """The change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces (n_contact, dim) that it
-    ends with; None if it is not found. ``stiffness`` and ``limit`` (n_contact,): of the nodes, N/m, and of friction
-    without pressure, N."""
+    """Return the change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces (n_contact, dim)
+    that it ends with; None if it is not found. ``stiffness`` and ``limit`` (n_contact,): of the nodes, N/m, and of
+    friction without pressure, N."""
     coarse = _coarse_of(problem)
     load, n, dim = coarse.span.T @ residual, len(problem.contact), problem.dim
     # where a support holds a tangent its reaction takes the place of friction

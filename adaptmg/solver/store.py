@@ -137,7 +137,7 @@ class Stored:
 
 
 def packed(value: object, kinds: Kinds, more: object = None, part_of: Mapping[str, object] | None = None) -> bytes:
-    """The content of a file: an object, more next to it, and what it is a part of."""
+    """Return the content of a file: an object, more next to it, and what it is a part of."""
     writer = _Writer(kinds)
     text = {"format": _FORMAT, "value": writer.plain("", value), "more": writer.plain("more", more),
             "part_of": dict(part_of or {})}
@@ -301,7 +301,7 @@ class StepStore:
 def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Mapping[str, np.ndarray], steps: int,
                 parts: Mapping[str, object], start: np.ndarray | None = None,
                 depends: Mapping[str, object] | None = None) -> dict[str, object]:
-    """What the steps depend on, as plain values by the names that messages give them."""
+    """Return what the steps depend on, as plain values by the names that messages give them."""
     depends = checks.instance("depends", {} if depends is None else depends, Mapping, "a mapping of names to values")
     finest, contact = grids.finest.discrete, grids.finest.discrete.contact
     coordinates = [] if finest.coordinates is None else [_sums(finest.coordinates)]
@@ -328,7 +328,7 @@ def _sums(values: np.ndarray) -> list[float]:
 
 
 def differences(stored: Mapping[str, object], requested: Mapping[str, object]) -> list[str]:
-    """Names under which two fingerprints differ, numbers by more than rounding."""
+    """Return the names under which two fingerprints differ, numbers by more than rounding."""
     return [name for name in {**requested, **stored} if not _same(stored.get(name, ...), requested.get(name, ...))]
 
 

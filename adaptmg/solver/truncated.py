@@ -153,7 +153,7 @@ class TruncatedIteration(StopTest):
             self.rtol = min(self.SHARE * change / np.sqrt(3.0) / self.size, self.COARSEST)
 
     def rests(self) -> bool:
-        """Whether the last residual is as small as arithmetic allows."""
+        """Return whether the last residual is as small as arithmetic allows."""
         return self.at_rounding(self.multigrid.rounding())
 
     @property
@@ -165,7 +165,7 @@ class TruncatedIteration(StopTest):
         return self._no_new_minimum(self.residuals)
 
     def shortfall(self) -> float | None:
-        """See :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate can be better."""
+        """Return the shortfall, see :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate can be better."""
         if self.run is None:
             return None
         if self.rests():
@@ -266,7 +266,7 @@ class Truncated:
                           "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes")
 
     def sweeps(self, levels: Sequence[SplitMatrix]) -> list[int]:
-        """Sweeps on each of the levels, coarsest first."""
+        """Return the sweeps on each of the levels, coarsest first."""
         rows = [level.nonzeros / level.n_nodes for level in levels]
         return [1 if row > self.DENSE * rows[-1] else 2 for row in rows]
 

@@ -65,7 +65,7 @@ class _Equations:
         self.stiff = self.soft + self.volumes.areas / self.volumes.modulus
 
     def direction(self, nodal: np.ndarray, forces: np.ndarray, missed: np.ndarray) -> _Direction:
-        """A direction from its displacement, K' times it, and what is left of the volumes."""
+        """Return a direction from its displacement, K' times it, and what is left of the volumes."""
         at, status = self.status.nodes, self.status
         volumes = self.volumes.rows @ nodal.reshape(-1)
         pressures = (missed + volumes) / self.stiff
@@ -83,7 +83,7 @@ class _Equations:
 def mixed_correction(problem: DiscreteProblem, missed: np.ndarray, diagonal: np.ndarray, status: FrozenStatus,
                      residual: np.ndarray, aggregates: Aggregates | None, negligible: float, rounding: float
                      ) -> HeldCorrection:
-    """As :func:`adaptmg.solver.energy_error.correction`, with the volumes ``missed`` (n_groups,)."""
+    """Correct as :func:`adaptmg.solver.energy_error.correction` does, with the volumes ``missed`` (n_groups,)."""
     volumes = problem.volumes
     status.project(residual)
     left = np.append(residual, -volumes.areas * missed)
