@@ -218,7 +218,7 @@ class Goal:
 
 
 def need_linear(problem: ContactProblem) -> None:
-    """ValueError unless the elements of the problem are linear."""
+    """Raise ValueError unless the elements of the problem are linear."""
     if problem.elements != "linear":
         raise ValueError("am.Goal estimates errors of linear elements, not of smoothed ones: take am.Recovery() or "
                          "am.Residual() as indicator")

@@ -87,6 +87,6 @@ def _line(value: object) -> str:
 
 
 def numeric(column: Iterable[object]) -> bool:
-    """Whether a column holds numbers, apart from missing values."""
+    """Return whether a column holds numbers, apart from missing values."""
     values = [v for v in column if v is not None]
     return bool(values) and all(isinstance(v, numbers.Real) and not isinstance(v, bool) for v in values)
