@@ -93,12 +93,13 @@ def sparse_matrix(name: str, value: object, shape: tuple[int | None, int | None]
     _check_shape(name, value.shape, shape)
     if value.dtype.kind not in "iuf":
         raise TypeError(f"{name} must hold real numbers, got {value.dtype}")
-    if value.format == "coo":
-        _check_indices(name, value.row, value.shape[0], "row")
-        _check_indices(name, value.col, value.shape[1], "column")
-    if value.format not in _COMPRESSED:
-        value = value.tocsr()
-    _check_compressed(name, value)
+    try:
+        if value.format == "coo":  # whose constructor looks at the indices
+            type(value)((value.data, value.coords), shape=value.shape)
+        value = value if value.format in _COMPRESSED else value.tocsr()
+        _check_format(value)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{name}: {error}") from None
     if value.data.dtype.kind not in "iuf":
         raise TypeError(f"{name} must hold real numbers, got {value.data.dtype}")
     _check_finite(name, value.data)
@@ -115,28 +116,16 @@ def square_blocks(name: str, value: object, size: int) -> sparse.bsr_array:
     return matrix if matrix.has_sorted_indices else matrix.sorted_indices()
 
 
-def _check_compressed(name: str, value: Compressed) -> None:
-    height, width = value.blocksize if value.format == "bsr" else (1, 1)
-    if value.shape[0] % height or value.shape[1] % width:
-        raise ValueError(f"{name}: its shape {value.shape} is not a multiple of its blocks ({height}, {width})")
-    rows, columns, what = value.shape[0] // height, value.shape[1] // width, "column"
-    if value.format == "csc":
-        rows, columns, what = columns, rows, "row"
-    indptr, indices = np.asarray(value.indptr), np.asarray(value.indices)
-    if indptr.dtype.kind not in "iu" or indices.dtype.kind not in "iu":
-        raise TypeError(f"{name}: indptr and indices must be integers, got {indptr.dtype} and {indices.dtype}")
-    if indptr.shape != (rows + 1,) or indptr[0] != 0 or (np.diff(indptr) < 0).any():
-        raise ValueError(f"{name}: indptr must be {rows + 1} numbers that rise from 0")
-    if indices.ndim != 1 or len(indices) < indptr[-1] or len(value.data) < indptr[-1]:
-        raise ValueError(f"{name}: indptr ends at {indptr[-1]}, but there are {len(indices)} indices and "
-                         f"{len(value.data)} values")
-    _check_indices(name, indices[:indptr[-1]], columns, what)
-
-
-def _check_indices(name: str, indices: np.ndarray, size: int, what: str) -> None:
-    if len(indices) and (int(indices.min()) < 0 or int(indices.max()) >= size):
-        wrong = int(indices.min()) if int(indices.min()) < 0 else int(indices.max())
-        raise ValueError(f"{name}: {what} index {wrong} is outside the matrix (0 to {size - 1}, in blocks)")
+def _check_format(value: Compressed) -> None:
+    """TypeError or ValueError where arrays of a matrix were changed after it was made, so that they do not fit."""
+    if value.indptr.dtype.kind + value.indices.dtype.kind != "ii":
+        raise TypeError(f"indptr and indices must be integers, got {value.indptr.dtype} and {value.indices.dtype}")
+    # what scipy's check leaves out: indptr that ends with 0, and rows outside the blocks
+    if (np.diff(value.indptr) < 0).any():
+        raise ValueError("indptr must not fall")
+    if np.mod(value.shape, getattr(value, "blocksize", 1)).any():
+        raise ValueError(f"its shape {value.shape} is not a multiple of its blocks {value.blocksize}")
+    type(value)(value).check_format()  # which may shorten arrays: not those of the argument
 
 
 def shape_of(matrix: sparse.sparray) -> tuple[int, int]:

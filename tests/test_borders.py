@@ -107,8 +107,21 @@ def _broken():
     return check_arrays.sparse_matrix("matrix", matrix)
 
 
+def _falling():
+    matrix = sparse.csr_array(np.eye(3))
+    matrix.indptr[-1] = 0
+    return check_arrays.sparse_matrix("matrix", matrix)
+
+
+def _cut_blocks():
+    blocks = sparse.bsr_array((np.ones((1, 2, 2)), [0], [0, 1]), shape=(3, 3))
+    return check_arrays.sparse_matrix("matrix", blocks)
+
+
 test_refused = refused(
-    (_broken, "matrix: column index 1000000 is outside"),
+    (_broken, "matrix: indices must be < 3"),
+    (_falling, "matrix: indptr must not fall"),
+    (_cut_blocks, r"matrix: its shape \(3, 3\) is not a multiple of its blocks \(2, 2\)"),
     (lambda: check_arrays.array("gaps", [0.0, True], (2,)), TypeError, "gaps must be an array of real numbers"),
     *((lambda error=error: two_chains(error), r"matrix must be symmetric.*between nodes 6 and 7")
       for error in (0.32, 1e-7)),
