@@ -30,7 +30,6 @@ from adaptmg._text import printable
 MOST_BYTES = 2**36
 _STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
 _PART = re.compile(r"\.adaptmg-([0-9a-f]{8})-([0-9]{1,9})-[0-9a-f]{16}\.part")
-_STAMP = re.compile(rb"<!-- adaptmg ([0-9a-f]{64}) -->\n\Z")
 _cleaned: set[Path] = set()
 
 
@@ -79,7 +78,8 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
         if os.fspath(path) in _STREAMS:
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()  # printed text comes first
-            _write_all(_STREAMS[os.fspath(path)], content)
+            with open(_STREAMS[os.fspath(path)], "wb", closefd=False) as file:
+                file.write(content)
         elif status is None or stat.S_ISREG(status.st_mode):
             if status is None and not target.parent.is_dir():
                 raise FileNotFoundError(errno.ENOENT, f"the folder {os.fspath(target.parent)!r} does not exist")
@@ -89,23 +89,10 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
         elif stat.S_ISDIR(status.st_mode):
             raise IsADirectoryError(errno.EISDIR, "this is a folder, give the name of a file")
         else:
-            with open(path, "wb", buffering=0) as device:
-                _write_all(device.fileno(), content)
+            path.write_bytes(content)
     except OSError as error:
         # the system names the temporary file, or none
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
-
-
-def stamped(content: bytes) -> bytes:
-    """Return an XML document with a comment at its end by which :func:`is_stamped` recognises it."""
-    return content + b"<!-- adaptmg %s -->\n" % hashlib.sha256(content).hexdigest().encode()
-
-
-def is_stamped(path: Path) -> bool:
-    """Whether a file is one that was written with :func:`stamped`, and has not changed since."""
-    content = read_bytes(path)
-    stamp = _STAMP.search(content, max(0, len(content) - 100))
-    return stamp is not None and hashlib.sha256(content[:stamp.start()]).hexdigest().encode() == stamp[1]
 
 
 def make_folder(name: str, path: Path) -> None:
@@ -138,15 +125,13 @@ def waiting_folder(folder: str | os.PathLike[str] = "") -> Iterator[Path]:
 def _replace(target: Path, content: bytes, status: os.stat_result | None) -> None:
     """Write a temporary file and give it the target's name."""
     part = _part(target.parent)
-    descriptor = os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0), 0o666)
     try:
-        try:
-            _write_all(descriptor, content)
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        with part.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
         if status is not None:
-            os.chmod(part, stat.S_IMODE(status.st_mode))
+            part.chmod(stat.S_IMODE(status.st_mode))
         os.replace(part, target)
     except BaseException:
         part.unlink(missing_ok=True)
@@ -159,20 +144,14 @@ def _replace(target: Path, content: bytes, status: os.stat_result | None) -> Non
             os.close(descriptor)
 
 
-def _write_all(descriptor: int, content: bytes) -> None:
-    rest = memoryview(content)
-    while rest:
-        rest = rest[os.write(descriptor, rest):]
-
-
 def _part(folder: Path) -> Path:
     """A new temporary name in a folder; the first time in a process, what ended processes left there is removed."""
     if folder not in _cleaned:
         _cleaned.add(folder)
-        with contextlib.suppress(OSError):
-            for name in os.listdir(folder):
-                if (match := _PART.fullmatch(name)) and match[1] == _host() and _left(folder / name, int(match[2])):
-                    _remove(folder / name)
+        for path in folder.glob(".adaptmg-*.part"):
+            with contextlib.suppress(OSError):
+                if (match := _PART.fullmatch(path.name)) and match[1] == _host() and _left(path, int(match[2])):
+                    (shutil.rmtree if path.is_dir() and not path.is_symlink() else Path.unlink)(path)
     return folder / f".adaptmg-{_host()}-{os.getpid()}-{secrets.token_hex(8)}.part"
 
 
@@ -186,11 +165,3 @@ def _left(path: Path, pid: int) -> bool:
     import psutil
 
     return not psutil.pid_exists(pid) and path.lstat().st_uid == user()
-
-
-def _remove(path: Path) -> None:
-    with contextlib.suppress(OSError):
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink()

@@ -16,7 +16,9 @@ contact boundary: not all readers know the strings of VTK. Control characters in
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
 import stat
 import struct
 import sys
@@ -29,7 +31,7 @@ import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._files import is_stamped, make_folder, stamped, waiting_folder, write_bytes
+from adaptmg._files import make_folder, read_bytes, waiting_folder, write_bytes
 from adaptmg._text import printable
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.solver.result import Result
@@ -37,6 +39,7 @@ from adaptmg.solver.result import Result
 _TYPES = {"float64": "Float64", "int64": "Int64", "int32": "Int32", "uint8": "UInt8", "int8": "Int8"}
 #: VTK's codes of triangles and tetrahedra by dimension
 _CELLS = {2: 5, 3: 10}
+_STAMP = re.compile(rb"<!-- adaptmg ([0-9a-f]{64}) -->\n\Z")
 
 
 def vtk(result: Result, path: str | os.PathLike[str]) -> None:
@@ -92,7 +95,7 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
             raise IsADirectoryError(f"path must be a .pvd file, but {str(target)!r} is a folder")
     names = [f"{target.stem}_{k:04d}.vtu" for k in range(len(results))]
     for name in names:
-        if os.path.lexists(target.parent / name) and not is_stamped(target.parent / name):
+        if os.path.lexists(target.parent / name) and not _is_stamped(target.parent / name):
             raise FileExistsError(f"path: {str(target.parent / name)!r} is not an unchanged file of adaptmg.export: "
                                   "move it, or give another name")
     make_folder("path", target.parent)
@@ -105,6 +108,18 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
             os.replace(waiting / name, target.parent / name)
     write_bytes(target, _collection(names, times))
     return target
+
+
+def _stamped(content: bytes) -> bytes:
+    """Return an XML document with a comment at its end by which :func:`_is_stamped` recognises it."""
+    return content + b"<!-- adaptmg %s -->\n" % hashlib.sha256(content).hexdigest().encode()
+
+
+def _is_stamped(path: Path) -> bool:
+    """Whether a file is one that was written with :func:`_stamped`, and has not changed since."""
+    content = read_bytes(path)
+    stamp = _STAMP.search(content, max(0, len(content) - 100))
+    return stamp is not None and hashlib.sha256(content[:stamp.start()]).hexdigest().encode() == stamp[1]
 
 
 def _collection(names: Sequence[str], times: np.ndarray) -> bytes:
@@ -150,7 +165,7 @@ def _document(result: Result) -> bytes:
         if tag == "FieldData":
             head.append(f'<Piece NumberOfPoints="{mesh.n_nodes}" NumberOfCells="{len(elements)}">')
     head += ["</Piece>", "</UnstructuredGrid>", '<AppendedData encoding="raw">', "_"]
-    return stamped("\n".join(head).encode() + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n")
+    return _stamped("\n".join(head).encode() + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n")
 
 
 def _field_data(result: Result) -> dict[str, np.ndarray]:
