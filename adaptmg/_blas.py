@@ -17,11 +17,12 @@ import numpy as np
 from adaptmg._machine import after_fork
 
 
-class _Blas:
-    """The limit of the process, which the first thread of Python to enter sets and the last to leave lifts."""
+class _Process:
+    """The lock of numpy's generator, and the limit of BLAS. threadpoolctl's own limit ends with the thread that set it;
+    this one is set by the first thread of Python to enter, and lifted by the last to leave."""
 
     def __init__(self) -> None:
-        self.lock, self.inside, self.modules = threading.RLock(), 0, -1
+        self.random, self.lock, self.inside, self.modules = threading.RLock(), threading.RLock(), 0, -1
         self.controller: Any = None
         self.limit: Any = None
 
@@ -52,34 +53,25 @@ class _Blas:
             getattr(library, "clear_controlling_thread", lambda force: None)(force=True)
 
 
-_BLAS, _RANDOM = _Blas(), threading.RLock()
-
-
-def _after_fork() -> None:
-    """Make new locks in a child: other threads, which may hold them, do not come along."""
-    global _RANDOM
-    _RANDOM = threading.RLock()
-    _BLAS.__init__()
-
-
-after_fork(_after_fork)
+_PROCESS = _Process()
+after_fork(_PROCESS.__init__)  # other threads, which may hold the locks, do not come along to a child
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Hold BLAS at one thread, in a with statement or as a decorator; may be nested, and entered by several threads."""
-    _BLAS.enter()
+    _PROCESS.enter()
     try:
         yield
     finally:
-        _BLAS.leave()
+        _PROCESS.leave()
 
 
 @contextmanager
 def seeded() -> Iterator[None]:
     """Let what draws from numpy's global generator (pyamg) draw the same numbers always, and put the state back. One
     thread at a time; a thread of the user that draws from the global generator meanwhile is not held back."""
-    with _RANDOM:
+    with _PROCESS.random:
         state = np.random.get_state()  # noqa: NPY002
         np.random.seed(0)  # noqa: NPY002
         try:
