@@ -197,7 +197,7 @@ def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: 
     n = len(points)
     if callable(value):
         result = value(points)
-        array = None if isinstance(result, np.ma.MaskedArray) else real_array(result)
+        array = real_array(result)
         if array is None:
             raise TypeError(f"{name}: the function must return real numbers, got {shown(result)}")
         if array.shape not in ((), (n,)):
@@ -217,12 +217,12 @@ def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: 
 
 
 def real_array(value: object) -> np.ndarray | None:
-    """Return ``value`` as an array of integers or floats; None if it is anything else."""
+    """Return ``value`` as an array of integers or floats; None if it is anything else, or masked."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
         return None
-    return array if array.dtype.kind in "iuf" else None
+    return array if array.dtype.kind in "iuf" and not isinstance(value, np.ma.MaskedArray) else None
 
 
 def shown(value: object) -> str:

@@ -68,7 +68,7 @@ def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
 
 
 def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike:
-    array = None if isinstance(value, np.ma.MaskedArray) else checks.real_array(value)
+    array = checks.real_array(value)
     if array is None:
         raise TypeError(f"{name} must be a number, a function of position or an array, got {checks.described(value)}")
     if not ((array >= 0) & (array <= checks.VAST)).all():
