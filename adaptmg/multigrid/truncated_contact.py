@@ -132,21 +132,18 @@ class TruncatedContact:
 
     def project(self, unknowns: np.ndarray) -> int:
         """Make a corrected iterate admissible, in place; returns the number of nodes that had to be cut."""
-        cut = project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference, self.values, unknowns,
-                      np.empty(self.dim))
+        cut = self._project(unknowns, True)
         self._clear(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
         return cut
 
+    def _project(self, unknowns: np.ndarray, move: bool) -> int:
+        return project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference, self.values, unknowns,
+                       np.empty(self.dim), move)
+
     def admits(self, unknowns: np.ndarray) -> bool:
         """Return whether an iterate closes open nodes or reverses slips at few nodes, which the projection cuts."""
-        frames = self.frames.reshape(-1, self.dim, self.dim)
-        local = (frames @ unknowns.reshape(-1, self.dim, 1)[self.nodes])[:, :, 0]
-        reference = self.reference.reshape(-1, self.dim - 1)
-        turned = ((self.values.reshape(local.shape)[:, 1:] - reference) * (local[:, 1:] - reference)).sum(axis=1)
-        cut = (self.codes & CLOSED == 0) & (local[:, 0] > self.gap)
-        cut |= (self.codes & TANGENTIAL >= SLIPS) & (turned <= 0.0)
-        return bool(cut.sum() <= 1 + self.FEW * len(self.nodes))
+        return self._project(unknowns, False) <= 1 + self.FEW * len(self.nodes)
 
     def friction_slope(self, before: np.ndarray, alpha: float) -> float:
         """Return the slope of sum g |slip| at alpha minus that at 0 along the step from local unknowns ``before``;
@@ -244,10 +241,11 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r, l
 
 
 @kernel
-def project(dim, codes, nodes, frames, gap, reference, values, u, local):
+def project(dim, codes, nodes, frames, gap, reference, values, u, local, move):
     """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns. Closed nodes keep the gap,
     held ones their place. An open node stops at the gap. A slip that would turn by more than 90 degrees (2D: reverse)
-    is cut to zero. Returns how many nodes were cut. ``local`` (dim,) is overwritten."""
+    is cut to zero. Returns how many nodes were cut, or would be if nothing is to ``move``. ``local`` (dim,) is
+    overwritten."""
     m = dim - 1
     cut = 0
     for k in range(len(nodes)):
@@ -271,6 +269,8 @@ def project(dim, codes, nodes, frames, gap, reference, values, u, local):
             if product <= 0.0:
                 stop = True
                 cut += 1
+        if not move:
+            continue
         for a in range(dim):
             if stop and a > 0:
                 local[a] = reference[m * k + a - 1]
