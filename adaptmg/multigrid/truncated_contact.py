@@ -148,13 +148,26 @@ class TruncatedContact:
     def friction_slope(self, before: np.ndarray, alpha: float) -> float:
         """Return the slope of sum g |slip| at alpha minus that at 0 along the step from local unknowns ``before``;
         slipping nodes only."""
-        old, new = (values.reshape(-1, self.dim)[:, 1:] for values in (before, self.values))
-        slip, change = old - self.reference.reshape(-1, self.dim - 1), new - old
-        moved = slip + alpha * change
-        size, first = np.linalg.norm(moved, axis=1), np.linalg.norm(slip, axis=1)
-        at = (self.codes & TANGENTIAL >= SLIPS) & (size > 0.0) & (first > 0.0)
-        slopes = (np.sum(moved * change, axis=1)[at] / size[at] - np.sum(slip * change, axis=1)[at] / first[at])
-        return float(np.sum(self._bound[at] * slopes))
+        return friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference, before,
+                              self.values, alpha)
+
+
+@kernel
+def friction_slope(dim, codes, limit, friction, pressure, reference, before, values, alpha):
+    """See :meth:`TruncatedContact.friction_slope`."""
+    total = 0.0
+    for k in range(len(codes)):
+        first, at_first, size, at_alpha = 0.0, 0.0, 0.0, 0.0
+        for a in range(1, dim):
+            slip = before[dim * k + a] - reference[(dim - 1) * k + a - 1]
+            change = values[dim * k + a] - before[dim * k + a]
+            moved = slip + alpha * change
+            first, at_first = first + slip * slip, at_first + slip * change
+            size, at_alpha = size + moved * moved, at_alpha + moved * change
+        if codes[k] & TANGENTIAL >= SLIPS and first > 0.0 and size > 0.0:
+            bound = limit[k] + friction[k] * pressure[k] if codes[k] & CLOSED else limit[k]
+            total += bound * (at_alpha / np.sqrt(size) - at_first / np.sqrt(first))
+    return total
 
 
 @kernel
