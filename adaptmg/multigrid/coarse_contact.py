@@ -18,6 +18,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import sparse
 
+from adaptmg._numba import kernel
 from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.smoother.factorisation import Eliminated, dofs_of, eliminate
 from adaptmg.smoother.interior_point import dense_factors, interior_point
@@ -128,6 +129,18 @@ class _CoarseSpan:
         return self.rows.T @ forces.reshape(-1)
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        n = len(blocks)
-        nodal = sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(n * self.dim, n * self.dim))
-        return dense_factors(self.matrix + (self.rows.T @ (nodal @ self.rows)).toarray())
+        whole, rows = self.matrix.copy(), self.rows
+        _add_nodal(self.dim, rows.indptr, rows.indices, rows.data, blocks, whole)
+        return dense_factors(whole)
+
+
+@kernel
+def _add_nodal(dim, indptr, indices, data, blocks, whole):
+    """Whole += B' S B, S the blocks of the contact nodes."""
+    for k in range(len(blocks)):
+        for a in range(dim):
+            for p in range(indptr[dim * k + a], indptr[dim * k + a + 1]):
+                for b in range(dim):
+                    factor = data[p] * blocks[k, a, b]
+                    for q in range(indptr[dim * k + b], indptr[dim * k + b + 1]):
+                        whole[indices[p], indices[q]] += factor * data[q]
