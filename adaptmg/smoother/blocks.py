@@ -76,6 +76,12 @@ def subtract(v, w):
 
 
 @in_loop
+def increase(array, at, v):
+    """Add v to the vector at a position."""
+    write(array, at, add(read(array, at, v), v))
+
+
+@in_loop
 def scale(factor, v):
     """Return a number times v."""
     if len(v) == 1:

@@ -15,24 +15,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from adaptmg._numba import kernel
 from adaptmg._threads import in_parts
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.smoother.blocks import (
-    EIGHT,
-    FOUR,
-    ONE,
-    SEVEN,
-    SIX,
-    THREE,
-    TWO,
-    ZERO,
-    add,
-    in_loop,
-    inner,
-    read,
-    scale,
-    subtract,
-    times,
-    write,
-)
+from adaptmg.smoother.blocks import ZERO, add, in_loop, increase, inner, read, scale, subtract, times, write
 
 #: nodes of an aggregate and its depth in the graph, by dimension
 _SIZE = {2: (64, 4), 3: (80, 3)}
@@ -247,16 +230,12 @@ def _moved(q, i, zero, offset, held, kept):
 
 
 @in_loop
-def _plus(array, at, v):
-    write(array, at, add(read(array, at, v), v))
-
-
-@in_loop
 def _column(blocks, at, like):
     """A column of a block, from the position of its first entry on."""
+    dim = np.uint64(len(like))
     if len(like) == 2:
-        return blocks[at], blocks[at + TWO]
-    return blocks[at], blocks[at + THREE], blocks[at + SIX]
+        return blocks[at], blocks[at + dim]
+    return blocks[at], blocks[at + dim], blocks[at + dim + dim]
 
 
 @in_loop
@@ -271,19 +250,19 @@ def _add_forces(blocks, at, i, zero, offset, held, kept, forces):
     x = read(offset, dim * np.uint64(i), zero)
     if held[i] >= 0:
         for q in range(modes):
-            _plus(forces, dim * np.uint64(q), times(blocks, at, _moved(q, i, zero, offset, held, kept)))
+            increase(forces, dim * np.uint64(q), times(blocks, at, _moved(q, i, zero, offset, held, kept)))
         return
-    first, second = _column(blocks, at, zero), _column(blocks, at + ONE, zero)
-    _plus(forces, np.uint64(0), first)
-    _plus(forces, dim, second)
+    first, second = _column(blocks, at, zero), _column(blocks, at + np.uint64(1), zero)
+    increase(forces, np.uint64(0), first)
+    increase(forces, dim, second)
     if len(zero) == 2:
-        _plus(forces, FOUR, _across(x[0], second, x[1], first))
+        increase(forces, np.uint64(4), _across(x[0], second, x[1], first))
     else:
-        third = _column(blocks, at + TWO, zero)
-        _plus(forces, SIX, third)
-        _plus(forces, SIX + THREE, _across(x[1], third, x[2], second))
-        _plus(forces, SIX + SIX, _across(x[2], first, x[0], third))
-        _plus(forces, SEVEN + EIGHT, _across(x[0], second, x[1], first))
+        third = _column(blocks, at + np.uint64(2), zero)
+        increase(forces, np.uint64(6), third)
+        increase(forces, np.uint64(9), _across(x[1], third, x[2], second))
+        increase(forces, np.uint64(12), _across(x[2], first, x[0], third))
+        increase(forces, np.uint64(15), _across(x[0], second, x[1], first))
 
 
 @in_loop

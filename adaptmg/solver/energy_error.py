@@ -30,7 +30,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg._numba import kernel
 from adaptmg._threads import in_parts, sum_of_parts
-from adaptmg.smoother.blocks import ONE, ZERO, add, in_loop, read, subtract, times, transposed_times, write
+from adaptmg.smoother.blocks import ONE, ZERO, add, increase, read, subtract, times, transposed_times, write
 from adaptmg.smoother.strips import Strips
 from adaptmg.solver.aggregates import Aggregates, CoarseMatrix
 
@@ -130,11 +130,6 @@ def _invert(first, last, zero, blocks):
                 d[k, m] = v[k, m] / determinant
 
 
-@in_loop
-def _plus(array, at, v):
-    write(array, at, add(read(array, at, v), v))
-
-
 @kernel
 def _forward(first, last, order, zero, indptr, indices, data, rank, inverse, load, u, rest):
     """Gauss-Seidel from zero over places of ``order``, and the residual that it leaves in ``rest``, which comes as 0.
@@ -173,11 +168,11 @@ def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, lo
         value = times(inverse, size * i, subtract(read(load, dim * i, zero), total))
         change = subtract(value, read(u, dim * i, zero))
         write(u, dim * i, value)
-        _plus(image, dim * i, add(total, times(data, size * np.uint64(on_diagonal), value)))
+        increase(image, dim * i, add(total, times(data, size * np.uint64(on_diagonal), value)))
         # later nodes were multiplied with what was here before
         for p in range(indptr[i], indptr[i + ONE]):
             if rank[indices[p]] > own:
-                _plus(image, dim * np.uint64(indices[p]), transposed_times(data, size * np.uint64(p), change))
+                increase(image, dim * np.uint64(indices[p]), transposed_times(data, size * np.uint64(p), change))
 
 
 class Preconditioner:
