@@ -54,7 +54,7 @@ def test_a_table_does_not_load_a_solver(tmp_path, monkeypatch):
     stored(3)
     code = ("import sys\nfrom adaptmg.cli import main\ntry:\n    main(['runs', 's.sqlite', '--where', 'a == 0'])\n"
             "except SystemExit:\n    pass\n"
-            "sys.stderr.write(' '.join(m for m in ('numba', 'ngsolve', 'dask', 'adaptmg.solver') "
+            "sys.stderr.write(' '.join(m for m in ('numba', 'ngsolve', 'dask', 'adaptmg.solver.solve') "
             "if m in sys.modules))")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr == "" and "3 runs" in done.stdout
