@@ -14,7 +14,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -183,9 +183,15 @@ def cpu(call: Callable[[], Any], times: int = 3, seconds: float = 0.5) -> float:
 
 
 def timed(hierarchy: am.Hierarchy, solver: Any, **options: Any) -> tuple[am.Result, float]:
-    """The result of a run with options, and the processor seconds of further ones without: kernels are warm then."""
-    result = am.solve(hierarchy, solver, throw=False, **options)
-    return result, cpu(lambda: am.solve(hierarchy, solver, throw=False))
+    """The result of a run with options, and the processor seconds of further ones without: kernels are warm then. The
+    active set method gets new matrices, so that it factorises, which it would not do twice."""
+    result, spent = am.solve(hierarchy, solver, throw=False, **options), []
+    while not spent or (len(spent) < 3 and sum(spent) < 0.5):
+        if isinstance(solver, am.ActiveSet):
+            hierarchy = am.Hierarchy.from_meshes(hierarchy.problem, [level.mesh for level in hierarchy],
+                                                 hierarchy.transfer, hierarchy.contact_rows)
+        spent.append(cpu(partial(am.solve, hierarchy, solver, throw=False), times=1))
+    return result, min(spent)
 
 
 def drawing(height: float = 3.2, width: float = 11.4) -> tuple[Figure, Axes]:
