@@ -185,7 +185,7 @@ def test_a_full_disk_is_said_with_the_file(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch, pytest.raises(OSError, match=r"No space left on device: '.*step_0001\.npz'"):
-        patch.setattr("os.write", full)
+        patch.setattr("os.fsync", full)
         next(steps)
     assert [file.name for file in tmp_path.glob("*0001*")] == []
     assert len(list(loop(tmp_path))) > 1
