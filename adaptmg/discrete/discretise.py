@@ -319,7 +319,7 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
         rubbed = np.intersect1d(nodes, held.inclined.nodes[held.inclined.moving])
         if len(rubbed):
             raise ValueError(f"a support moves contact node {rubbed[0]} {tuple(mesh.points[rubbed[0]].tolist())} along "
-                             "the normal of its boundary, which is no axis: turn the geometry, or end one of the "
+                             "the normal of its boundary, not an axis: turn the geometry, or end one of the "
                              "boundaries before the other begins")
     if slip_reference is not None:
         slip_reference = check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]

@@ -12,7 +12,7 @@ reversed, gaps and slips divided and forces multiplied by :math:`|\sigma|`; the 
 and its support. Results are converted back: they refer to the slave node.
 
 A node k serves if it is free, follows no other, and no other such j faces it. Without one (edges of 3D bodies whose
-nodes lie closer than those of the master, say), and where what is held is no component, j must do without a
+nodes lie closer than those of the master, say), and where what is held is not a component, j must do without a
 multiplier, and its neighbours take its part.
 """
 

@@ -162,7 +162,7 @@ def may_overlap(contact: Contact | ContactPair) -> bool:
 
 
 def _first(contact: Contact) -> Obstacle:
-    """The obstacle in the place of a discretisation: moved as it is told, not yet pressed."""
+    """The obstacle in the place of a discretisation: moved as prescribed, not yet pressed."""
     return contact.obstacle.obstacle if isinstance(contact.obstacle, Rigid) else contact.obstacle
 
 

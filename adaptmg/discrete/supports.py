@@ -49,7 +49,7 @@ class Held(NamedTuple):
 
     support: AnySupport
     direction: np.ndarray  # (dim,)
-    axis: int | None  # None: it is no axis
+    axis: int | None  # None: it is not an axis
     value: FieldLike  # m
 
 

@@ -46,7 +46,7 @@ def _check(one: Moving | Rigid, what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """An obstacle that moves as it is told.
+    """An obstacle with a prescribed motion.
 
     In a load path its factor multiplies displacement and rotation; without one the whole motion acts.
 
@@ -146,8 +146,9 @@ class Moving:
 class Rigid:
     """A rigid obstacle that moves until it transmits a force and a moment.
 
-    :func:`adaptmg.solve_path` finds its motion by Newton's method on these few numbers, with a contact problem for
-    each of them; ``Result.motions`` has what it found. In a load path the factor multiplies force and moment.
+    :func:`adaptmg.solve_path` finds its motion by Broyden's method on these few numbers, with a contact problem for
+    each trial; ``Result.motions`` has the motion. Cycles, work and seconds of the result are those of all trials, its
+    history that of the one it is from. In a load path the factor multiplies force and moment.
 
     Parameters
     ----------

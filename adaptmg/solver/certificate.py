@@ -204,7 +204,7 @@ class Evidence:
         self.limit = limit / np.abs(self.sigma)
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
-        # what holds ties is as large as it must be; its counterpart on masters is no violation
+        # what holds ties is as large as it must be; its counterpart on masters is not a violation
         borne = -residual if not problem.ties else np.where(problem.fixed & ~problem.held, 0.0, -residual)
         self.unexplained = problem.physical_forces(borne).reshape(shape)
         self.unexplained[self.nodes] -= self.claimed

@@ -1,6 +1,6 @@
 r"""What is prescribed by force: the motion of a Rigid obstacle and the strain of a Preload that transmit it.
 
-A few unknowns z stand beside the contact problem, with the equations
+A few unknowns z stand next to the contact problem, with the equations
 
 .. math:: F(z) = F^* : \quad \text{resultant and moment of the contact forces of an obstacle, force across a cut} .
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import TypeVar
 
 import numpy as np
@@ -167,29 +168,31 @@ class Controls:
              solve: Callable[[dict[str, np.ndarray], Result | None], tuple[Result, Kept]]
              ) -> tuple[Result, Kept, dict[str, np.ndarray]]:
         """Return the result, what is kept of it, and the motions with which the forces are as prescribed; ``solve``
-        takes motions and a result near theirs. Cycles and work are those of all contact problems together."""
+        takes motions and a result near theirs. Cycles, work and seconds are those of all contact problems together."""
         sizes = np.concatenate([part.sizes for part in parts])
-        tried: list[tuple[Result, Kept]] = []
+        spent: list[tuple[int, float, dict[str, float]]] = []
 
-        def at(values: np.ndarray) -> np.ndarray:
-            tried.append(solve(self.taken(parts, values * sizes), tried[best][0] if tried else None))
-            missed = self.missed(parts, tried[-1][0])
+        def at(values: np.ndarray, near: Result | None) -> tuple[np.ndarray, tuple[Result, Kept]]:
+            solved = solve(self.taken(parts, values * sizes), near)
+            spent.append((solved[0].cycles, solved[0].work_units, solved[0].timings))
+            missed = self.missed(parts, solved[0])
             _LOG.debug("motions %s miss their forces by %s of their size", values * sizes, missed)
-            return missed
+            return missed, solved
 
-        values, jacobian, reach, best = self.start(parts) / sizes, None, 1.0, 0
-        missed = at(values)
+        values, jacobian, reach = self.start(parts) / sizes, None, 1.0
+        missed, (result, kept) = at(values, None)
+        last = result
 
         def reached() -> bool:
-            return bool(np.abs(missed).max() <= ACCURACY * tried[best][0].rtol)
+            return bool(np.abs(missed).max() <= ACCURACY * result.rtol)
 
-        while not reached() and tried[-1][0].status.ok and len(tried) < _MOST:
+        while not reached() and last.status.ok and len(spent) < _MOST:
             fresh = jacobian is None
             if fresh:
                 steps = _DIFFERENCE * reach * np.eye(len(values))
-                jacobian = np.stack([(at(values + step) - missed) / step.max() for step in steps], axis=1)
+                jacobian = np.stack([(at(values + step, result)[0] - missed) / step.max() for step in steps], axis=1)
             left, values_of, right = np.linalg.svd(jacobian)
-            noise = tried[best][0].rtol / (_DIFFERENCE * reach)
+            noise = result.rtol / (_DIFFERENCE * reach)
             resisted = values_of > max(_UNRESISTED * values_of[0], noise)
             along = left.T @ missed
             if fresh and np.abs(along[~resisted]).max(initial=0.0) > 1e-3:
@@ -198,20 +201,21 @@ class Controls:
                                  "take a moment about= a point near contact, or hold a bolt at both ends")
             change = -right[resisted].T @ (along[resisted] / values_of[resisted])
             change *= min(1.0, _GROWTH * reach / np.abs(change).max())
-            new = at(values + change)
+            new, solved = at(values + change, result)
+            last = solved[0]
             if not fresh and np.abs(new).max() > 0.9 * np.abs(missed).max():
                 jacobian = None
                 continue
             jacobian = jacobian + np.outer(new - missed - jacobian @ change, change) / (change @ change)
             reach = max(np.abs(change).max(), 0.1 * reach)
-            values, missed, best = values + change, new, len(tried) - 1
-        result, kept = tried[best]
+            values, missed, (result, kept) = values + change, new, solved
         if result.status.ok and not reached():
             _LOG.warning("forces of %s are missed by %.1e of their size after %d contact problems",
-                         ", ".join(part.name for part in parts), np.abs(missed).max(), len(tried))
+                         ", ".join(part.name for part in parts), np.abs(missed).max(), len(spent))
             result = replace(result, status=Status.LIMIT, mesh=result.mesh_or_none)
-        result = replace(result, cycles=sum(one.cycles for one, _ in tried), mesh=result.mesh_or_none,
-                         work_units=sum(one.work_units for one, _ in tried))
+        cycles, work, seconds = zip(*spent, strict=True)
+        timings = {name: sum(one.get(name, 0.0) for one in seconds) for name in dict.fromkeys(chain(*seconds))}
+        result = replace(result, cycles=sum(cycles), work_units=sum(work), timings=timings, mesh=result.mesh_or_none)
         return result, kept, self.taken(parts, values * sizes)
 
     def take(self, factors: Mapping[str, float], motions: Mapping[str, np.ndarray]) -> None:

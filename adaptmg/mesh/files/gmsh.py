@@ -84,7 +84,7 @@ def _sections(data: bytes) -> tuple[float, bool, dict[str, bytes]]:
         end = data.find(b"$End" + match[1], match.end())
         if end < 0 or (name in parts and name in _KNOWN):
             raise ValueError(f"the section ${name} does not end, or comes twice; the file is cut off")
-        # binary sections end with a line feed that is no number
+        # binary sections end with a line feed that is not a number
         parts[name] = data[match.end():end].removesuffix(b"\n") if binary else data[match.end():end]
         at = end + 4 + len(name)
     return version, binary, parts
