@@ -73,13 +73,16 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     -----
     UserWarning
         Of Poisson's ratios above .45 (linear elements lock), lengths that look like mm, strains above 5 %, bodies that
-        cannot meet, and slips between bodies beyond an element: theory and elements are linear, strains and slips
-        small.
+        cannot meet, slaves far stiffer than their masters, and slips between bodies beyond an element: theory and
+        elements are linear, strains and slips small.
     RuntimeWarning
         Of friction so large that there may be several solutions.
 
     Notes
     -----
+    Forces that are prescribed (:class:`adaptmg.Rigid`, :class:`adaptmg.Preload`) are met by several contact problems,
+    as in a load path of one step; ``start`` and ``reference`` are then refused.
+
     A solve takes one thread, or those of :func:`adaptmg.set_threads`; several run at the same time as a
     :class:`adaptmg.Study`.
 
