@@ -1,4 +1,4 @@
-"""The command ``adaptmg``: ``cases``, ``solve``, ``adapt``, ``study FILE.py``, ``runs STORE``, ``report STORE``."""
+"""The command ``adaptmg``: ``cases``, ``solve``, ``adapt``, ``study FILE.py``, ``report STORE``."""
 
 from adaptmg.cli.commands import main
 

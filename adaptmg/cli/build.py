@@ -1,10 +1,9 @@
-"""From the settings of the command line, by ``"section.key"``, to a solved case: problem, grids, method, load path and
-adaptive loop.
+"""From the options of the command line to a solved case: problem, grids, method and adaptive loop.
 
 The keys are the arguments of the classes and functions: fields of the option classes, arguments of cases and of the
 constructors of :class:`adaptmg.Hierarchy`. An object is chosen by the name of its class (``correction = "monotone"``),
-and its fields stand next to it (``pre`` of the cycle, ``friction`` of the law); those of solvers inside a method are
-written with a point (``coarse.rtol``). Types, defaults and checks are those of the signatures and classes.
+and its fields stand next to it (``pre`` of the cycle, ``friction`` of the law). Types, defaults and checks are those of
+the signatures and classes.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import adaptmg as am
@@ -25,12 +24,10 @@ from adaptmg.problem.contact_problem import ELEMENTS
 from adaptmg.problem.load_path import names_in_path
 from adaptmg.solver.record import Solver
 from adaptmg.solver.result import Result
-from adaptmg.study.record import Value
 
-Settings = Mapping[str, Value]
 #: keyword arguments of a class or function, and what makes an object or a problem from them
 Arguments = dict[str, Any]
-Maker = Callable[..., object]
+Maker = Callable[..., Any]
 
 METHODS = (am.FullMultigrid, am.Multigrid, am.SingleGrid, am.ActiveSet)
 #: classes that an argument of this name takes, the default first
@@ -41,25 +38,20 @@ OBJECTS: dict[str, tuple[type, ...]] = {
     "correction": (am.Truncated, am.Monotone, am.PaperCorrection), "linear": (am.Direct, am.AMG),
     "indicator": (am.Residual, am.Recovery, am.Goal), "mark": (am.Doerfler, am.Maximum),
     "engine": (am.Bisect, am.Remesh),
-    "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening),
-    "coarse": (am.CoarseSolve,), "start": (am.NestedStart,)}
-#: arguments whose fields are written with a point
-_INNER = ("coarse", "start")
+    "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening)}
 #: sections of settings, and their purposes
 PURPOSE = {
     "case": "the problem: its name, its law, and its arguments, see 'adaptmg cases NAME'",
     "hierarchy": "grids; without it those that follow the size of the bodies and of the contact boundaries",
     "solver": "method; without it full multigrid, truncated, to 1e-8",
     "adapt": "meshes that follow the error, until one of the limits",
-    "load_path": "load steps: factors by boundary or body, one a step",
 }
 #: grids of rectangles and boxes
 _DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
 #: nodes of an adaptive loop of the command line without a limit
 _NODES = 3000
-#: arguments that settings cannot give
-_APART = ("self", "problem", "store", "depends", "progress", "scheduler", "solver", "load_path", "coarse_solve",
-          "coarse_smoother", "flanges")
+#: types of arguments that a text gives; others than these and OBJECTS are left to Python
+_PLAIN = ("str", "int", "float", "bool", "Sequence", "Literal", "FieldLike")
 
 
 @dataclass(frozen=True)
@@ -69,25 +61,15 @@ class Key:
     values: str  # type or choices
     default: str = ""  # empty where there is none
 
-    @property
-    def real(self) -> bool:
-        """Whether integers stand for floats."""
-        return self.values.startswith("float")
-
-
-def section(settings: Settings, name: str) -> Arguments:
-    """Return the settings of a section, by key."""
-    return {key[len(name) + 1:]: value for key, value in settings.items() if key.startswith(f"{name}.")}
-
 
 def name_of(kind: type) -> str:
     """Return the name of a class in settings: ``PseudoL2`` is pseudo-l2, ``PaperCorrection`` paper."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", kind.__name__).lower().removesuffix("-correction")
 
 
-def _class_of(argument: str, name: Value, kinds: Sequence[type]) -> type:
+def _class_of(argument: str, name: object, kinds: Sequence[type]) -> type:
     by_name = {name_of(kind): kind for kind in kinds}
-    if not isinstance(name, str) or name not in by_name:
+    if name not in by_name:
         raise ValueError(f"{argument} must be one of {', '.join(by_name)}, got {checks.shown(name)}"
                          f"{checks.suggestion(str(name).lower(), by_name)}")
     return by_name[name]
@@ -96,8 +78,9 @@ def _class_of(argument: str, name: Value, kinds: Sequence[type]) -> type:
 @cache
 def _parameters(function: Maker) -> dict[str, tuple[inspect.Parameter, tuple[type, ...]]]:
     """The arguments that settings can give, each with the classes that it may be."""
-    return {name: (item, () if str(item.annotation).startswith(("str", "float")) else OBJECTS.get(name, ()))
-            for name, item in inspect.signature(function).parameters.items() if name not in _APART}
+    found = {name: (item, () if str(item.annotation).startswith(_PLAIN) else OBJECTS.get(name))
+             for name, item in inspect.signature(function).parameters.items() if name != "store"}
+    return {name: (item, kinds) for name, (item, kinds) in found.items() if kinds is not None}
 
 
 def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) -> type | None:
@@ -121,7 +104,7 @@ def keys_of(function: Maker) -> dict[str, Key]:
             for key, value in keys_of(kind).items():
                 if type(item.default) is kind and hasattr(item.default, key):
                     value = Key(value.values, _default(getattr(item.default, key)))
-                nested.setdefault(f"{name}.{key}" if name in _INNER else key, value)
+                nested.setdefault(key, value)
     return nested | own
 
 
@@ -132,19 +115,12 @@ def _default(value: object) -> str:
 
 
 def arguments_of(function: Maker, values: Arguments, before: str, what: str) -> Arguments:
-    """Return keyword arguments of a class or function, and remove them from ``values``. In messages keys begin with
-    ``before``, such as "solver.", and ``what`` names the function."""
-    arguments: Arguments = {}
-    for name, (_, kinds) in _parameters(function).items():
-        # objects take the rest
-        if not kinds and (table := _taken(values, name)):
-            arguments[name] = _by_level(before + name, table)
-        elif not kinds and name in values:
-            arguments[name] = values.pop(name)
-    for name, (item, kinds) in _parameters(function).items():
-        if name in _INNER and kinds and (table := _taken(values, name)):
-            arguments[name] = _made(kinds[0], table, f"{before}{name}.", name)
-        elif kinds and name not in _INNER:
+    """Return keyword arguments of a class or function, and remove them from ``values``; objects take what it does not
+    take itself. In messages keys begin with ``before``, such as "solver.", and ``what`` names the function."""
+    parameters = _parameters(function)
+    arguments = {name: values.pop(name) for name, (_, kinds) in parameters.items() if not kinds and name in values}
+    for name, (item, kinds) in parameters.items():
+        if kinds:
             word = values.pop(name, None)
             kind = _default_class(name, item, kinds) if word is None else _class_of(before + name, word, kinds)
             if kind is not None and (word is not None or set(keys_of(kind)) & set(values)):
@@ -154,40 +130,15 @@ def arguments_of(function: Maker, values: Arguments, before: str, what: str) -> 
     return arguments
 
 
-def _taken(values: Arguments, name: str) -> Arguments:
-    """Remove the settings of a table from ``values``, and return them."""
-    table = section(values, name)
-    for key in table:
-        del values[f"{name}.{key}"]
-    return table
-
-
-def _made(function: Maker, values: Arguments, before: str, what: str,
-         others: Sequence[type] = ()) -> Any:
+def _made(function: Maker, values: Arguments, before: str, what: str) -> Any:
     """Call a class or function with settings; ValueError for settings that it does not take."""
     arguments = arguments_of(function, values, before, what)
-    _check_used(values, before, what, keys_of(function), others)
-    return function(**arguments)
-
-
-def _check_used(values: Settings, before: str, what: str, keys: Mapping[str, Key],
-                others: Sequence[type] = ()) -> None:
     for key in values:
-        owners = [f"{before}{name} {name_of(kind)}" for name, kinds in OBJECTS.items() for kind in kinds
-                  if name in keys and key in _parameters(kind)] or [
-                  name_of(kind) for kind in others if key in keys_of(kind)]
+        owners = [f"{before}{name} {name_of(kind)}" for name, (_, kinds) in _parameters(function).items()
+                  for kind in kinds if key in keys_of(kind)]
         raise ValueError(f"{before}{key} has no meaning for {what}" + (
-            f": it belongs to {' or '.join(owners)}" if owners else f"; it takes {', '.join(keys)}"))
-
-
-def _by_level(name: str, table: Arguments) -> Arguments | list[Arguments]:
-    """Values by name of body; lists of them, coarse to fine, become one such table a level."""
-    lists = [value for value in table.values() if isinstance(value, tuple)]
-    if not lists:
-        return table
-    if len(lists) < len(table) or len(set(map(len, lists))) > 1:
-        raise ValueError(f"{name} must have lists of one length, got {checks.shown(table)}")
-    return [dict(zip(table, row, strict=True)) for row in zip(*lists, strict=True)]
+            f": it belongs to {' or '.join(owners)}" if owners else f"; it takes {', '.join(keys_of(function))}"))
+    return function(**arguments)
 
 
 def problem_of(values: Arguments) -> am.ContactProblem:
@@ -209,38 +160,34 @@ def sections() -> dict[str, dict[str, Key]]:
         "hierarchy": {**keys_of(am.Hierarchy.uniform), **keys_of(am.Hierarchy.graded)},
         "solver": {"method": Key(" | ".join(map(name_of, METHODS)), name_of(METHODS[0])),
                    **{name: key for kind in reversed(METHODS) for name, key in keys_of(kind).items()}},
-        "adapt": keys_of(am.adapt),
-        "load_path": {"default": keys_of(am.LoadPath)["default"]}}
+        "adapt": keys_of(am.adapt)}
 
 
 def case_keys(name: str) -> dict[str, Key]:
-    """Return the keys of [case] for a case."""
+    """Return the keys of a case."""
     return {key: sections()["case"][key] for key in ("case", "elements")} | keys_of(get(name).function)
 
 
-def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Value]:
-    """Return the settings that the options of a command give as texts; lists have commas, and whole numbers are floats
-    where an argument is one."""
-    tables, settings = sections() | {"case": case_keys(case) | sections()["case"]}, {"case.case": case}
-    del tables["hierarchy" if adaptive else "adapt"]
+def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Arguments]:
+    """Return the settings that the options of a command give as texts, by section; lists have commas, and whole numbers
+    are floats where an argument is one."""
+    tables = sections() | {"case": case_keys(case) | sections()["case"]}
+    settings: dict[str, Arguments] = {name: {} for name in tables} | {"case": {"case": case}}
     for name, text in texts.items():
         part, _, key = name.partition(".")
-        keys = tables.get(part, {})
-        # values by name, such as hierarchy.sizes.upper, have a key after the argument
-        head = keys.get(key.partition(".")[0], Key(""))
-        if not (key in keys or ("." in key and "Mapping" in head.values) or (part == "load_path" and key)):
-            raise ValueError(f"there is no argument {name!r}{checks.suggestion(key, keys)}; there are "
-                             f"{', '.join(keys)}")
-        value, about = _value_of(text), keys.get(key, Key(""))
-        if about.values.startswith("Sequence") and not isinstance(value, tuple):
+        if key not in tables[part]:
+            raise ValueError(f"there is no argument {name!r}{checks.suggestion(key, tables[part])}; there are "
+                             f"{', '.join(tables[part])}")
+        value, kind = _value_of(text), tables[part][key].values
+        if kind.startswith("Sequence") and not isinstance(value, tuple):
             value = (value,)
-        settings[name] = float(value) if type(value) is int and about.real and abs(value) < 1e300 else value
-    if adaptive and not {"adapt.tolerance", "adapt.max_nodes", "adapt.max_seconds"} & set(settings):
-        settings["adapt.max_nodes"] = _NODES
+        settings[part][key] = float(value) if type(value) is int and kind.startswith("float") else value
+    if adaptive and not {"tolerance", "max_nodes", "max_seconds"} & set(settings["adapt"]):
+        settings["adapt"]["max_nodes"] = _NODES
     return settings
 
 
-def _value_of(text: str) -> Value:
+def _value_of(text: str) -> object:
     if "," in text:
         return tuple(_value_of(part.strip()) for part in text.split(","))
     if text in ("true", "false"):
@@ -253,46 +200,27 @@ def _value_of(text: str) -> Value:
     return text
 
 
-def load_path(settings: Settings) -> am.LoadPath | None:
-    """Return the load path, if there is one."""
-    factors = section(settings, "load_path")
-    return am.LoadPath({key: value for key, value in factors.items() if key != "default"},
-                       factors.get("default", 1.0)) if factors else None
-
-
 def solver_of(values: Arguments) -> Solver:
     """Return the method; ``max_cycles`` stands for the limit of each."""
     name = values.pop("method", name_of(am.FullMultigrid))
     kind = _class_of("solver.method", name, METHODS)
     if "max_cycles" in values:
         values[next(key for key in _parameters(kind) if key.startswith("max_"))] = values.pop("max_cycles")
-    return _made(kind, values, "solver.", f"solver.method {name}", METHODS)
-
-
-def adaptation(settings: Settings) -> Arguments:
-    """Return the arguments of :func:`adaptmg.adapt` after the problem."""
-    values = section(settings, "adapt")
-    arguments = arguments_of(am.adapt, values, "adapt.", "[adapt]")
-    _check_used(values, "adapt.", "this loop", keys_of(am.adapt))
-    solver = section(settings, "solver")
-    return {**arguments, "load_path": load_path(settings), "solver": solver_of(solver) if solver else None}
+    return _made(kind, values, "solver.", f"solver.method {name}")
 
 
 def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
     """Return uniform grids, or independent ones where sizes are given."""
-    sized, divided = (any(key.split(".")[0] == name for key in values) for name in ("sizes", "divisions"))
-    if sized and divided:
+    if "sizes" in values and "divisions" in values:
         raise ValueError("give hierarchy.divisions or hierarchy.sizes, not both")
-    blocks = all(isinstance(part, am.Rectangle | am.Box) for part in getattr(task.domain, "parts",
-                                                                             {"": task.domain}).values())
-    if blocks and not (sized or divided):
+    parts = getattr(task.domain, "parts", {"": task.domain}).values()
+    if "sizes" not in values and all(isinstance(part, am.Rectangle | am.Box) for part in parts):
         values = {"divisions": _DIVISIONS[task.dim]} | values
-    uniform = divided or (blocks and not sized)
-    constructor = am.Hierarchy.uniform if uniform else am.Hierarchy.graded
-    what = "uniform grids (without hierarchy.sizes)" if uniform else "hierarchy.sizes"
-    arguments = arguments_of(constructor, values, "hierarchy.", what)
-    _check_used(values, "hierarchy.", what, keys_of(constructor))
-    return constructor(task, **arguments)
+    if "divisions" in values:
+        make, what = am.Hierarchy.uniform, "uniform grids (without hierarchy.sizes)"
+    else:
+        make, what = am.Hierarchy.graded, "hierarchy.sizes"
+    return _made(partial(make, task), values, "hierarchy.", what)
 
 
 @dataclass(frozen=True)
@@ -304,23 +232,22 @@ class Solved:
     steps: list[am.Step]  # of an adaptive loop
 
 
-def solved(settings: Settings, callback: Callable[[dict[str, float]], None] | None = None,
+def solved(settings: Mapping[str, Arguments], callback: Callable[[dict[str, float]], None] | None = None,
            each: Callable[[am.Step], None] | None = None, store: str | os.PathLike[str] | None = None) -> Solved:
-    """Solve once, along a load path, or on meshes that follow the error. ``callback`` is given the progress, ``each``
-    of every step of an adaptive loop, which ``store`` keeps."""
-    problem, path = problem_of(section(settings, "case")), load_path(settings)
-    if section(settings, "adapt"):
-        steps = []
-        for step in am.adapt(problem, **adaptation(settings), progress=callback, store=store):
-            steps.append(step)
-            if each is not None:
-                each(step)
-        return Solved(steps[-1].result, steps[-1].hierarchy, steps)
-    # the method first: what is refused is refused before anything is meshed
-    solver, levels = solver_of(section(settings, "solver")), grids(problem, section(settings, "hierarchy"))
-    result = (am.solve(levels, solver, throw=False, callback=callback) if path is None else
-              am.solve_path(levels, path, solver, throw=False)[-1])
-    return Solved(result, levels, [])
+    """Solve once, or on meshes that follow the error. ``callback`` is given the progress, ``each`` every step of an
+    adaptive loop, which ``store`` keeps."""
+    problem = problem_of(settings["case"])
+    if not settings["adapt"]:
+        # the method first: what is refused is refused before anything is meshed
+        solver, levels = solver_of(settings["solver"]), grids(problem, settings["hierarchy"])
+        return Solved(am.solve(levels, solver, throw=False, callback=callback), levels, [])
+    steps = []
+    for step in _made(partial(am.adapt, problem, progress=callback, store=store), settings["adapt"], "adapt.",
+                      "this loop"):
+        steps.append(step)
+        if each is not None:
+            each(step)
+    return Solved(steps[-1].result, steps[-1].hierarchy, steps)
 
 
 def case_facts(name: str) -> dict[str, object]:

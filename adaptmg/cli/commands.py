@@ -6,6 +6,7 @@ The options of ``solve`` and ``adapt`` are made from signatures and types by :mo
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import logging
 import os
@@ -16,12 +17,18 @@ from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from adaptmg import __version__
 from adaptmg._text import printable
 
+if TYPE_CHECKING:
+    from adaptmg.study import Study
+    from adaptmg.study.record import Record
+
 _STORED = "finished runs are stored, the same command goes on"
+#: runs that --dry-run shows
+_SHOWN = 20
 #: sections of settings whose keys are the options of a command
 _SECTIONS = {"solve": ("case", "hierarchy", "solver"), "adapt": ("case", "adapt")}
 
@@ -90,11 +97,6 @@ def _add_json(add: Callable[..., object]) -> None:
     add("--json", action="store_true", help="print JSON")
 
 
-def _add_store(add: Callable[..., object]) -> None:
-    add("store", metavar="STORE", type=Path, help="SQLite file of studies")
-    add("--study", metavar="NAME", help="name of a study in the store (default: the only one)")
-
-
 def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
     """Add the commands of studies and their stores."""
     add = made(_study, "run the study of a Python script and print its table", "my.py --workers 4",
@@ -111,18 +113,10 @@ def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
     add("--rerun", action="store_true", help="run everything again")
     add("-q", "--quiet", action="store_true", help="no progress and no table: errors alone")
     _add_json(add)
-    add = made(_runs, "show the runs in a store", "results/bar.sqlite --where \"friction == 0.2 and cycles > 20\" "
-               "--to friction.csv", "Without --study those of its one study, or the list of its studies.")
-    _add_store(add)
-    add("--where", metavar="CONDITION", default="",
-        help="only runs for which it holds, as in DataFrame.query of pandas; names with a point stand in backticks")
-    add("--details", action="store_true", help="also tries, memory, machine, commit ...")
-    add("--limit", metavar="ROWS", type=int, default=50, help="rows that are printed at most; JSON and files have all")
-    add("--to", metavar="FILE", type=Path, help="write all of them as .csv")
-    _add_json(add)
     add = made(_report, "write a page that opens offline: pictures of results, all runs, those that failed",
                "results/friction.sqlite --result cycles --to friction.html")
-    _add_store(add)
+    add("store", metavar="STORE", type=Path, help="SQLite file of studies")
+    add("--study", metavar="NAME", help="name of a study in the store (default: the only one)")
     add("--result", metavar="COLUMN", action="append", help="column to draw; several times (default: two that vary)")
     add("--to", metavar="FILE.html", type=Path, help="file to write (default: next to the store, named as the study)")
 
@@ -132,8 +126,7 @@ def _add_settings(parser: _Parser, command: str) -> None:
 
     parser.add_argument("case", metavar="CASE", help="name of a case, see 'adaptmg cases'")
     parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[],
-                        help="an argument of the case, see 'adaptmg cases CASE', or another setting, such as "
-                             "load_path.left=0.5,1; several times")
+                        help="an argument of the case, see 'adaptmg cases CASE'; several times")
     for section in _SECTIONS[command]:
         group = parser.add_argument_group(f"{section}: {PURPOSE[section]}".replace("%", "%%"))
         for key, about in sections()[section].items():
@@ -146,7 +139,7 @@ def _add_settings(parser: _Parser, command: str) -> None:
                                    help=f"{about.values}{default}".replace("%", "%%"))
 
 
-def _settings(parsed: Namespace) -> dict[str, object]:
+def _settings(parsed: Namespace) -> dict[str, dict[str, object]]:
     from adaptmg.cli import build
 
     texts = {name: text for name, text in vars(parsed).items() if "." in name}
@@ -154,7 +147,7 @@ def _settings(parsed: Namespace) -> dict[str, object]:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not equals or not value:
             raise ValueError(f"--set must be NAME=VALUE, got {printable(ascii(text))}")
-        texts[name if name.partition(".")[0] in build.PURPOSE else f"case.{name}"] = value
+        texts[f"case.{name}"] = value
     return build.from_texts(parsed.case, texts, adaptive=parsed.run is _adapt)
 
 
@@ -198,7 +191,7 @@ def _adapt(parsed: Namespace) -> None:
 
     settings, folder = _settings(parsed), output.folder(parsed.out)
     waiting: list[str] = []
-    with output.watched_loop() as progress:
+    with output.watched() as progress:
         # lines would run into the bar: they wait until it ends
         say = waiting.append if parsed.json or progress is not None else _say
         solved = build.solved(settings, progress, each=lambda step: say(repr(step)), store=parsed.store)
@@ -211,24 +204,28 @@ def _adapt(parsed: Namespace) -> None:
 
 
 def _study(parsed: Namespace) -> int:
-    from adaptmg.cli import studies
-    from adaptmg.cli.output import logged, printed
+    from adaptmg.cli.output import finite, logged
+    from adaptmg.study import as_text
 
-    made = studies.study_of(parsed.file, parsed.store)
-    if parsed.dry_run:
-        _print_json(studies.summary(made, False)) if parsed.json else _say(studies.plan(made))
-        return 0
-    options = {name: getattr(parsed, name) for name in ("workers", "scheduler", "limit_s", "memory_limit", "rerun",
-                                                       "retry_failed")}
-    # failures only on a terminal, else a line for each run
-    level = logging.INFO if sys.stderr and not (parsed.quiet or sys.stderr.isatty()) else logging.WARNING
-    with logged("adaptmg.study", level, logging.StreamHandler()):
-        table = made.run(progress=False if parsed.quiet else None, **options)
+    study = _study_of(parsed.file, parsed.store)
+    if not parsed.dry_run:
+        options = {name: getattr(parsed, name) for name in ("workers", "scheduler", "limit_s", "memory_limit", "rerun",
+                                                           "retry_failed")}
+        # failures only on a terminal, else a line for each run
+        level = logging.INFO if sys.stderr and not (parsed.quiet or sys.stderr.isatty()) else logging.WARNING
+        with logged("adaptmg.study", level, logging.StreamHandler()):
+            study.run(progress=False if parsed.quiet else None, **options)
+    table, status = study.table(details=parsed.json), study.status()
     if parsed.json:
-        _print_json(studies.summary(made, True))
+        head = {"study": study.name, "runs": status.total, "done": status.done, "failed": status.failed,
+                "stale": status.stale, "missing": status.missing, "why_stale": status.reasons, "errors": status.errors}
+        _print_json(head | ({} if parsed.dry_run else {"rows": finite(table.to_dict("records"))}))
+    elif parsed.dry_run:
+        _say(f"{as_text(table[[*study.parameters, 'status']].head(_SHOWN))}\n\n{study!r}\n{status!r}")
     elif not parsed.quiet:
-        text = printed(table.drop(columns="error"), made.parameters, units=studies.units(list(table)))
-        _say(f"{text}\n\n{made.status()!r}")
+        _say(f"{as_text(table.drop(columns='error'), units={'seconds': 's'})}\n\n{status!r}")
+    if parsed.dry_run:
+        return 0
     failed = int((table["status"] == "failed").sum())
     missed = int((table["outcome"].dropna() != "CONVERGED").sum()) if "outcome" in table else 0
     for count, words in ((failed, "failed: --retry-failed runs them again"),
@@ -238,41 +235,77 @@ def _study(parsed: Namespace) -> int:
     return int(bool(failed or missed))
 
 
-def _runs(parsed: Namespace) -> None:
-    from adaptmg import _checks as checks
-    from adaptmg.cli import studies
-    from adaptmg.cli.output import lines, printed, rows
+def _study_of(path: Path, store: Path | None) -> Study:
+    """Import a script, and return the study that it makes, or that of its ``run`` and ``parameters`` (with ``fixed``
+    and ``depends`` where it has them), which is stored in results/SCRIPT.sqlite. What stands below
+    ``if __name__ == "__main__"`` does not run."""
+    import cloudpickle
 
-    limit = checks.integer("--limit", parsed.limit, 1)
-    if parsed.to is not None:
-        studies.ending(parsed.to)
-    store = studies.opened(parsed.store)
-    names = store.studies()
-    if parsed.study is None and len(names) != 1 and not (parsed.to or parsed.where):
-        table = {name: [row[k] for row in store.summaries()]
-                 for k, name in enumerate(("study", "done", "failed", "seconds", "last"))}
-        _say(lines(rows(table)) if parsed.json else printed(table, ["study"], units={"seconds": "s"}))
-        return
-    records = store.runs(studies.chosen(store, parsed.study))
-    table = studies.selected(records, parsed.where, parsed.details)
-    if parsed.to is not None:
-        studies.write(table, parsed.to)
-        _say(f"wrote {parsed.to}", err=True)
-    if parsed.json:
-        _say(lines(rows(table)))
-    elif parsed.to is None:
-        total = len(table)
-        counted = "1 run" if total == 1 else f"{total} runs"
-        note = f"... {total - limit} more: --limit, or --to FILE.csv for all" if total > limit else counted
-        _say(printed(studies.short(table.head(limit)), list(records[0].parameters), units=studies.units(list(table)),
-                     note=note))
+    from adaptmg import _checks as checks
+    from adaptmg._files import file_size
+    from adaptmg.study import Study
+
+    file = checks.file_path("FILE", path)
+    if file.suffix != ".py":
+        raise ValueError(f"FILE must be a Python script that makes an am.Study, got {checks.shown(os.fspath(path))}")
+    file_size("FILE", file)
+    # as Python does for a script, so that it finds its neighbours; workers get it by value
+    sys.path.insert(0, os.fspath(file.resolve().parent))
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    module = sys.modules[file.stem] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+    cloudpickle.register_pickle_by_value(module)
+    studies = list({id(value): value for value in vars(module).values() if isinstance(value, Study)}.values())
+    if len(studies) == 1:
+        if store is not None:
+            raise ValueError("--store belongs to scripts with run and parameters: this one makes its am.Study itself")
+        return studies[0]
+    run, parameters = getattr(module, "run", None), getattr(module, "parameters", None)
+    if studies or run is None or parameters is None:
+        raise ValueError(f"{file} must make one am.Study, or have run and parameters; it makes {len(studies)} studies")
+    return Study(run, parameters, Path("results", f"{file.stem}.sqlite") if store is None else store, name=file.stem,
+                 fixed=getattr(module, "fixed", None), depends=getattr(module, "depends", None))
 
 
 def _report(parsed: Namespace) -> None:
-    from adaptmg.cli import studies
+    from adaptmg import _checks as checks
+    from adaptmg._files import file_size, write_bytes
+    from adaptmg.export import study_report
+    from adaptmg.study.record import frame
+    from adaptmg.study.store import Store
 
-    page, csv = studies.report(parsed.store, parsed.study, parsed.result, parsed.to)
+    file_size("STORE", checks.file_path("STORE", parsed.store))
+    store = Store(parsed.store)
+    names = store.studies()
+    if parsed.study not in names and (parsed.study is not None or len(names) != 1):
+        raise ValueError(f"give --study, one of {', '.join(names) or 'none, as the store has no runs'}"
+                         f"{checks.suggestion(parsed.study or '', names)}")
+    name = parsed.study or names[0]
+    page = parsed.store.with_name(f"{Path(name).name}.html") if parsed.to is None else parsed.to
+    if page.suffix != ".html":
+        raise ValueError(f"--to must be an HTML file, got {checks.shown(str(page))}: its table is a .csv next to it")
+    records, csv = list(store.get(name).values()), page.with_suffix(".csv")
+    names = dict.fromkeys(key for record in records for key in record.parameters)
+    fixed = {key: value for key, value in records[0].parameters.items() if len(records) > 1
+             and len({repr(record.parameters.get(key)) for record in records}) == 1}
+    varied = [key for key in names if key not in fixed]
+    table = frame(varied, [(record.parameters, record, record.status) for record in records])
+    table.attrs = {"study": name, "fixed": fixed}
+    study_report(table, page, parameters=varied, results=parsed.result, csv=csv.name, made=_origin(records))
+    write_bytes(csv, table.to_csv(index=False).encode("utf-8", "backslashreplace"))
     _say(f"wrote {page} and {csv}", err=True)
+
+
+def _origin(records: Sequence[Record]) -> dict[str, str]:
+    """Return machines, commits, versions and dates of runs."""
+    facts = {"machine": {record.machine for record in records}, "commit": {record.commit[:12] for record in records},
+             "versions of the runs": {", ".join(map(" ".join, record.versions.items())) for record in records}}
+    times = sorted(record.finished[:16] for record in records)
+    return {name: "; ".join(sorted(texts)[:3]) for name, texts in facts.items()} | {
+        "runs made": f"{times[0]} to {times[-1]} UTC"}
 
 
 @contextmanager

@@ -1,16 +1,11 @@
-"""Output of the commands: values and outcomes as JSON, files with pictures, tables in blocks on a narrow terminal, log
-and progress on standard error."""
+"""Output of the commands: results as JSON, files with pictures, log and progress on standard error."""
 
 from __future__ import annotations
 
-import io
-import json
 import logging
 import math
-import shutil
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,11 +14,8 @@ import numpy as np
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, write_bytes
-from adaptmg.study.tables import as_text
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from adaptmg.cli.build import Solved
 
 
@@ -38,71 +30,10 @@ def finite(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def rows(table: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
-    """Return the rows of a table as JSON takes them."""
-    given = {name: [finite(value) for value in column] for name, column in table.items()}
-    return [dict(zip(given, row, strict=True)) for row in zip(*given.values(), strict=True)]
-
-
-def lines(rows: Sequence[dict[str, object]]) -> str:
-    """Return rows as JSON, one a line."""
-    return "[" + ",".join(f"\n  {json.dumps(row, allow_nan=False)}" for row in rows) + "\n]"
-
-
-def printed(table: Mapping[str, Sequence[object]], parameters: Sequence[str], *, units: Mapping[str, str],
-            note: str = "") -> str:
-    """Return a table as text, in blocks of columns where it is wider than the terminal, each with the parameters."""
-    def text(names: Sequence[str]) -> str:
-        return as_text({name: table[name] for name in names},
-                       units={name: unit for name, unit in units.items() if name in names})
-
-    head, names = [name for name in parameters if name in table], list(table.keys())
-    blocks = [head] if sys.stdout.isatty() else [names]
-    for name in (name for name in names if name not in blocks[0]):
-        if blocks[-1] != head and len(text([*blocks[-1], name]).splitlines()[1]) > shutil.get_terminal_size().columns:
-            blocks.append(head)
-        blocks[-1] = [*blocks[-1], name]
-    return "\n\n".join(map(text, blocks)) + f"\n{note}" * bool(note)
-
-
-Row = dict[str, float]
-_Callback = AbstractContextManager[Callable[[Row], None] | None]
-
-
-def watched(rtol: float = 1e-8) -> _Callback:
-    """Show log and progress of a solve inside: the bar fills by decades of the error."""
-    first: list[float] = []
-
-    def state(row: Row) -> dict[str, object]:
-        for error in (row.get("error_estimate", math.nan), row.get("residual", math.nan)):
-            if math.isfinite(error) and error > 0:
-                first.append(error)
-                total = math.log10(max(first[0] / rtol, 10.0))
-                return {"total": total, "completed": min(max(math.log10(first[0] / error), 0.0), total),
-                        "description": f"cycle {row['cycle']}, error {error:.1e}"}
-        return {}
-
-    return _bar("grids and set-up", state)
-
-
-def watched_loop() -> _Callback:
-    """Show log and progress of an adaptive loop inside: nodes, estimate, and when it should end."""
-    def state(row: Row) -> dict[str, object]:
-        words = f"step {row['step']}: {row['phase']}, {row['nodes']} nodes"
-        if math.isfinite(row["estimate"]):
-            words += f", estimate {row['estimate']:.2%}"
-        expected = row["expected_seconds"]
-        if not (math.isfinite(expected) and expected > 0):
-            return {"description": words}
-        return {"description": words, "total": expected, "completed": min(row["seconds"], expected),
-                "end": f"about {max(expected - row['seconds'], 0.0):.0f} s more"}
-
-    return _bar("first mesh", state)
-
-
 @contextmanager
-def _bar(begin: str, state: Callable[[Row], dict[str, object]]) -> Iterator[Callable[[Row], None] | None]:
-    """Send adaptmg's log from INFO on to standard error; on a terminal also yield a callback that updates a bar."""
+def watched() -> Iterator[Callable[[dict], None] | None]:
+    """Send adaptmg's log from INFO on to standard error; on a terminal also yield a callback that takes the progress of
+    a solve or of an adaptive loop, and updates a bar."""
     from rich.console import Console
     from rich.logging import RichHandler
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -114,10 +45,20 @@ def _bar(begin: str, state: Callable[[Row], dict[str, object]]) -> Iterator[Call
         if not console.is_terminal:
             yield None
             return
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[end]}"))
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = bar.add_task(begin, total=None, end="")
-            yield lambda row: bar.update(task, **state(row))
+        with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
+                      transient=True) as bar:
+            task = bar.add_task("meshes and set-up", total=None)
+            yield lambda row: bar.update(task, description=_described(row))
+
+
+def _described(row: dict) -> str:
+    if "phase" not in row:
+        return f"cycle {row['cycle']}, error {row.get('error_estimate', row.get('residual', math.nan)):.1e}"
+    text = f"step {row['step']}: {row['phase']}, {row['nodes']} nodes"
+    if math.isfinite(row["estimate"]):
+        text += f", estimate {row['estimate']:.2%}"
+    left = row["expected_seconds"] - row["seconds"]
+    return f"{text}, about {left:.0f} s more" if left > 0 else text
 
 
 @contextmanager
@@ -162,6 +103,8 @@ def write(directory: Path | None, solved: Solved) -> list[Path]:
     import matplotlib
 
     matplotlib.use("Agg")
+    from adaptmg.export.report import small_png
+
     result = solved.result
     files = [directory / "result.npz", directory / "result.vtu"]
     result.save(files[0])
@@ -176,14 +119,10 @@ def write(directory: Path | None, solved: Solved) -> list[Path]:
         pictures["adaptation"] = lambda: am.plot.adaptation(solved.steps)
     if result.path:
         pictures["cycles"] = lambda: am.plot.path(result)
-    return files + [_picture(directory / f"{name}.png", draw()) for name, draw in pictures.items()]
-
-
-def _picture(file: Path, figure: Figure) -> Path:
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=200, bbox_inches="tight")
-    write_bytes(file, picture.getvalue())
-    return file
+    for name, draw in pictures.items():
+        files.append(directory / f"{name}.png")
+        write_bytes(files[-1], small_png(draw(), 200))
+    return files
 
 
 def loop_summary(steps: list[am.Step], files: list[Path]) -> dict[str, object]:

@@ -15,6 +15,7 @@ import adaptmg as am
 from adaptmg.cli import build
 from adaptmg.cli.build import sections
 from adaptmg.study import Study
+from adaptmg.study.record import Record
 from adaptmg.study.store import Store
 
 SCRIPT = """
@@ -148,25 +149,6 @@ def test_options_and_cases_are_explained_without_docstrings(command):
     assert done.returncode == 0 and "CONVERGED" in done.stdout, done.stderr
 
 
-def test_runs_are_listed_filtered_and_written(command):
-    def run(n, law):
-        if n == 3:
-            raise ValueError("three & more")
-        return {"m": n / 2, "what": "a_b"}
-
-    Study(run, {"n": [1, 2, 3], "law": ["a", "b"]}, "s.sqlite", name="first", fixed={}).run(progress=False)
-    code, out, _ = command("runs", "s.sqlite", "--limit", "2")
-    assert code == 0 and "... 4 more" in out
-    where = "status == 'done' and law == 'b'"
-    rows = json.loads(command("runs", "s.sqlite", "--where", where, "--details", "--json")[1])
-    assert [(row["n"], row["m"], row["tries"]) for row in rows] == [(1, 0.5, 1), (2, 1.0, 1)]
-    assert command("runs", "s.sqlite", "--to", "t.csv")[0] == 0
-    assert pd.read_csv("t.csv")["m"].dropna().tolist() == [0.5, 0.5, 1.0, 1.0]
-    Study(lambda n: {"m": n}, {"n": [1, 5]}, "s.sqlite", name="second").run(progress=False)
-    code, out, _ = command("runs", "s.sqlite", "--study", "second")
-    assert code == 0 and "2 runs" in out
-
-
 def test_warnings_are_lines(command):
     code, _, err = command("solve", "leaning_strut", "--sizes", "20e-3,10e-3", "--contact-ratio", "2",
                            "--friction", "0.9")
@@ -182,9 +164,7 @@ def test_warnings_are_lines(command):
      am.SingleGrid(omega=1.3, condensed=True, max_sweeps=9)),
     ({"method": "multigrid", "correction": "monotone", "shape": "complete", "pre": 1},
      am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="complete", pre=1))),
-    ({"correction": "monotone", "coarse.omega": 1.2, "start.rtol": 1e-6, "rtol": 1e-6},
-     am.FullMultigrid(correction=am.Monotone(), coarse=am.CoarseSolve(omega=1.2), rtol=1e-6,
-                      start=am.FullMultigrid().start.__class__(rtol=1e-6))),
+    ({"correction": "monotone", "rtol": 1e-6}, am.FullMultigrid(correction=am.Monotone(), rtol=1e-6)),
     ({"method": "active-set", "linear": "amg"}, am.ActiveSet(linear=am.AMG()))])
 def test_settings_reach_the_method(solver, wanted):
     assert build.solver_of(dict(solver)) == wanted
@@ -196,11 +176,11 @@ def test_every_listed_default_of_a_method_is_its_default(method):
     for key, known in build.keys_of(method).items():
         owners = [name for name, kinds in build.OBJECTS.items() for kind in kinds[1:] if key in build.keys_of(kind)]
         # not with the default correction
-        projected = issubclass(method, am.Multigrid) and (key.startswith("coarse.") or any(
-            key in build.keys_of(kind) for kind in (am.Cycle, am.ProjectedGaussSeidel)))
+        projected = issubclass(method, am.Multigrid) and any(
+            key in build.keys_of(kind) for kind in (am.Cycle, am.ProjectedGaussSeidel))
         if known.default and not owners and not projected and key not in build.keys_of(am.Truncated):
             value = build._value_of(known.default)
-            value = float(value) if known.real else value
+            value = float(value) if known.values.startswith("float") else value
             assert build.solver_of({"method": build.name_of(method), key: value}) == method(), key
 
 
@@ -213,10 +193,8 @@ def test_every_listed_default_of_a_method_is_its_default(method):
     ({"quantity": "opening", "engine": "bisect"}, am.Opening()),
     ({"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3, "passes": 1}, None)])
 def test_settings_reach_the_adaptive_loop(adapt, wanted):
-    given = {"case.case": "greco_bar", "adapt.max_nodes": 90, "adapt.start": 10e-3, "adapt.indicator": "goal",
-             **{f"adapt.{key}": value for key, value in adapt.items()}}
-    made = build.adaptation(given)
-    assert made["indicator"] == (am.Recovery() if wanted is None else am.Goal(wanted))
+    made = build.arguments_of(am.adapt, {"max_nodes": 90, "start": 10e-3, "indicator": "goal", **adapt}, "adapt.", "")
+    assert made["indicator"] == (am.Recovery() if wanted is None else am.Goal(wanted)) and made["start"] == 10e-3
     assert made.get("mark") == (am.Maximum(0.3) if "mark" in adapt else None)
     assert made.get("engine") == (am.Bisect(passes=adapt.get("passes")) if "engine" in adapt else None)
 
@@ -231,3 +209,55 @@ def test_friction_and_elements_of_a_case_that_takes_no_law(command):
         with pytest.raises(ValueError, match=r"case\.law has no meaning for the case bolted_junction"):
             build.problem_of({"case": "bolted_junction", **given})
     assert "--limit has no meaning for the case" in command("solve", "bolted_junction", "--limit", "1e6")[2]
+
+
+@pytest.fixture
+def report(command):
+    """``adaptmg report``: exit code, standard error."""
+    return lambda *arguments: command("report", *arguments)[::2]
+
+
+def failed_run(name: str = "first") -> None:
+    """Three runs, one of which failed, with texts that a page must escape."""
+    def run(n, law):
+        if n == 3:
+            raise ValueError("three <b>&</b> more")
+        return {"m": n * 0.5, "w": 2.0 * n}
+
+    Study(run, {"n": [1, 2, 3], "law": ["<i>"]}, "s.sqlite", name=name).run(progress=False)
+
+
+def test_a_page_and_its_table_stand_beside_the_store(report):
+    failed_run()
+    code, err = report("s.sqlite")
+    assert code == 0 and "wrote first.html and first.csv" in err
+    page = Path("first.html").read_text(encoding="utf-8")
+    assert "data:image/svg+xml" in page and "three &lt;b&gt;" in page and "<b>&</b>" not in page
+    assert pd.read_csv("first.csv")["m"].dropna().tolist() == [0.5, 1.0]
+    assert report("s.sqlite", "--result", "w", "--to", "other.html")[0] == 0
+    assert Path("other.html").read_text(encoding="utf-8").count("<img") < page.count("<img")
+
+
+def test_a_page_says_what_all_runs_share_and_when_they_ran(report):
+    store = Store("s.sqlite")
+    same = {"case.case": "greco_bar", "h.sizes": (0.01, 5e-3)}
+    store.put_all("study", [Record(parameters=same | {"case.friction": k / 2}, status="done", machine="node7",
+                                   results={"max_pressure": 1e6 * k, "text": "\udcff"}, commit="c" * 40,
+                                   finished=f"2026-01-0{k}T10:00:00") for k in range(1, 4)])
+    assert report("s.sqlite")[0] == 0
+    page = Path("study.html").read_text(encoding="utf-8")
+    for words in ("case.case = greco_bar, h.sizes = (0.01, 0.005)", "[s]", "node7", "cccccccccccc<",
+                  "2026-01-01T10:00 to 2026-01-03T10:00 UTC", r"\udcff"):
+        assert words in page, words
+    code, err = report("s.sqlite", "--to", "study.csv")
+    assert code == 2 and "must be an HTML file" in err
+
+
+def test_what_cannot_be_shown_is_told(report):
+    failed_run()
+    assert "there is no file" in report("none.sqlite")[1]
+    code, err = report("s.sqlite", "--result", "cycles")
+    assert code != 0 and "cycles" in err and "Traceback" not in err
+    failed_run("second")
+    assert "give --study, one of first, second" in report("s.sqlite")[1]
+    assert "did you mean 'first'" in report("s.sqlite", "--study", "frist")[1]
