@@ -166,7 +166,7 @@ test_refused = refused(
     # beyond the centre of curvature
     (lambda: mortar_2d(*two(CUP, line(BAR, 0.5))), NEVER_FACING),
     (lambda: mortar_2d(POINTS, SLAVE, SLAVE[:, ::-1], NORMALS), "one of the master too"),
-    (lambda: mortar_2d(*two(line(np.linspace(0, 1, 6)), line([0.2, 0.2001], up=True))), "on a sliver of each edge"),
+    (lambda: mortar_2d(*two(line(np.linspace(0, 1, 6)), line([0.2, 0.2001], up=True))), "on a sliver of each facet"),
     (lambda: mortar_2d(*DATA, excluded=range(4)), "every node of the slave surface is excluded"),
     (lambda: mortar_2d(*two(line([0.0, 1.0, 2.0]), line([0.0, 1.0], up=True)), excluded=(0, 1)),
      "only where slave nodes are excluded"))
@@ -320,7 +320,7 @@ def test_refusals(monkeypatch):
     with pytest.raises(ValueError, match=r"slave node 0 .* has no partner"):
         node_to_node(points, slave, master[:-1], normals)
     monkeypatch.setattr(pairs, "_OFFSET", 4.0)
-    with pytest.raises(ValueError, match=r"slave nodes 0 .* and 1 .* have the same partner 6"):
+    with pytest.raises(ValueError, match=r"slave node \d .* has the same partner 6 as another"):
         node_to_node(points, slave, master[:1], normals, excluded=(2, 3, 4))
 
 

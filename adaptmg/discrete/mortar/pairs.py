@@ -33,7 +33,7 @@ from adaptmg.problem.surfaces import ContactPair
 
 _ROUNDING = 1e-12  # of the bodies' size
 _LEAST_COVERED = 0.25  # of the part of a slave node
-_OFFSET = 1e-2  # of the shortest edge at a slave node: how far off its normal its partner may lie
+_OFFSET = 1e-2  # of the shortest edge of facets at a slave node: how far off its normal its partner may lie
 
 
 def pair_interface(mesh: MeshArrays, pair: ContactPair, *, held: HeldNodes, excluded: np.ndarray,
@@ -82,10 +82,15 @@ def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
     return (mortar_2d if surfaces.points.shape[1] == 2 else mortar_3d)(surfaces, pair.reach)
 
 
+def _edge_lengths(surface: Surface) -> np.ndarray:
+    """Lengths (n, dim) of the edges of facets; in 2D each twice."""
+    corners = surface.points[surface.facets]
+    return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+
+
 def _facet_heights(surface: Surface) -> np.ndarray:
     """At nodes (n_nodes,) of a surface the largest height of a facet there under the arc, about, m; zero elsewhere."""
-    corners = surface.points[surface.facets]
-    length = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    length = _edge_lengths(surface).max(axis=1)
     result = np.zeros(len(surface.points))
     for corner in surface.facets.T:
         turn = np.linalg.norm(surface.node_normals[corner] - surface.normals, axis=1)
@@ -104,7 +109,7 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     apart, normal = points[partner] - points[nodes], normals[nodes]
     gaps = np.einsum("nd,nd->n", apart, normal)
     offset = np.linalg.norm(apart - gaps[:, None] * normal, axis=1)
-    _check_partners(surfaces, nodes, partner, offset, _OFFSET * _shortest_edges(surfaces)[nodes])
+    _check_partners(surfaces, nodes, partner, offset)
     weights = surfaces.slave_side.lumped(surfaces.axisymmetric)[nodes]
     if not weights.min() > 0:
         raise ValueError(f"slave node {nodes[int(np.argmin(weights))]} has no area: its facets lie on the axis of "
@@ -114,10 +119,10 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     return MortarInterface(nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling, closest=gaps)
 
 
-def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, offset: np.ndarray,
-                    allowed: np.ndarray) -> None:
-    points = surfaces.points
-    vectors = np.zeros(points.shape)
+def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, offset: np.ndarray) -> None:
+    points, shortest = surfaces.points, np.full(len(surfaces.points), np.inf)
+    np.minimum.at(shortest, surfaces.slave, _edge_lengths(surfaces.slave_side).min(axis=1)[:, None])
+    allowed, vectors = _OFFSET * shortest[nodes], np.zeros(points.shape)
     for corner in surfaces.master.T:
         np.add.at(vectors, corner, surfaces.master_side.vectors)
     facing = np.einsum("nd,nd->n", vectors[partner], surfaces.normals[nodes]) < 0
@@ -131,21 +136,8 @@ def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, 
                          f"node {partner[i]} {tuple(points[partner[i]].tolist())} lies {offset[i]:.3g} m off its "
                          f"normal, {allowed[i]:.3g} m are allowed{'' if facing[i] else ', and faces the same way'} "
                          f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes or a mortar coupling")
-    order = np.argsort(partner, kind="stable")
-    twice = np.flatnonzero(np.diff(partner[order]) == 0)
-    if len(twice):
-        a, b = nodes[order[twice[0]]], nodes[order[twice[0] + 1]]
-        raise ValueError(f"slave nodes {a} {tuple(points[a].tolist())} and {b} {tuple(points[b].tolist())} have the "
-                         f"same partner {partner[order[twice[0]]]}: the meshes do not match; use a mortar coupling")
-
-
-def _shortest_edges(surfaces: Surfaces) -> np.ndarray:
-    """Shortest edge (n_nodes,) of the slave facets at each node, m; infinite elsewhere."""
-    result = np.full(len(surfaces.points), np.inf)
-    corners = surfaces.slave.T
-    for i in range(len(corners)):
-        for j in range(i):
-            length = np.linalg.norm(surfaces.points[corners[i]] - surfaces.points[corners[j]], axis=1)
-            np.minimum.at(result, corners[i], length)
-            np.minimum.at(result, corners[j], length)
-    return result
+    taken, index = np.unique(partner, return_index=True)
+    if len(taken) < len(partner):
+        i = np.setdiff1d(np.arange(len(partner)), index)[0]
+        raise ValueError(f"slave node {nodes[i]} {tuple(points[nodes[i]].tolist())} has the same partner {partner[i]} "
+                         "as another one: the meshes do not match; use a mortar coupling")

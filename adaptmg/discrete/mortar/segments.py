@@ -1,58 +1,46 @@
-r"""Mortar coupling of two surfaces in 2D (plane or axisymmetric) with dual Lagrange multipliers.
+r"""Mortar coupling of two surfaces in the plane, also of solids of revolution: what of slave edges is covered.
 
-The continuous normal field of the slave surface is n(s), linear on every edge between averaged nodal normals. On the
-covered part of an edge, where the rays :math:`x(s) + \alpha\,n(s)` meet the master surface, the dual basis
-:math:`\psi_j = \sum_i (d\,m^{-1})_{ji}\,\phi_i` with :math:`d_j = \int\phi_j,\ m_{ij} = \int\phi_i\phi_j` over that
-part is biorthogonal to the shape functions and adds up to 1. With the weighted mean :math:`\bar s` and variance v of s
-over the covered part it is, for ends a (s = 0) and b (s = 1),
-
-.. math:: \psi_a = (1 - \bar s)\Big(1 - \bar s\,\frac{s - \bar s}{v}\Big),\qquad \psi_b = 1 - \psi_a .
-
-.. math:: D_{jj} = \int\psi_j\phi_j,\quad M_{jk} = \int\psi_j\,\phi_k^{\mathrm{master}},\quad B = D^{-1}M,\quad
-   g_j = D_{jj}^{-1}\int\psi_j\,\alpha|n| .
-
-In axisymmetry all integrals carry :math:`2\pi r`. If end b of an edge may carry no multiplier, :math:`\psi_a = 1` there
-(the crosspoint modification), and with :math:`D_{ab} = \int\psi_a\phi_b` node b is one of those that a follows:
-:math:`u_a - (\sum_k M_{ak} u_k - D_{ab} u_b)/D_{aa}`.
-
-Along slave edge (a, b) let :math:`x(s) = x_a + s\,(x_b - x_a)` and :math:`n(s) = n_a + s\,(n_b - n_a)`, 0 <= s <= 1.
-The ray :math:`x(s) + \alpha\,n(s)` meets the line through the master edge :math:`(y_1, y_2)` at
+The continuous normal field of the slave surface is n(s), linear on every edge between averaged nodal normals: along
+slave edge (a, b) let :math:`x(s) = x_a + s\,(x_b - x_a)` and :math:`n(s) = n_a + s\,(n_b - n_a)`, 0 <= s <= 1. The ray
+:math:`x(s) + \alpha\,n(s)` meets the line through the master edge :math:`(y_1, y_2)` at
 
 .. math:: \alpha = \frac{(x - y_1)\times(y_2 - y_1)}{f},\qquad \eta = \frac{(x - y_1)\times n}{f},\qquad
    f = (y_2 - y_1)\times n,
 
 and the edge faces the ray if f > 0. The rays do not cross between the surfaces as long as
-:math:`(x_b - x_a)\times n - \alpha\; n\times(n_b - n_a) < 0`.
-
-Sources: B. Wohlmuth, SIAM J. Numer. Anal. 38, 2000, doi:10.1137/S0036142999350929 (dual multipliers); B. Yang,
-T. Laursen, X. Meng, Int. J. Numer. Meth. Engng 62, 2005, doi:10.1002/nme.1222 (normal field and segments);
-T. Cichosz, M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011, doi:10.1016/j.cma.2010.11.004 (dual basis on
-partly covered edges).
+:math:`(x_b - x_a)\times n - \alpha\; n\times(n_b - n_a) < 0`. Integrals are sums over Gauss points of the covered parts
+(B. Yang, T. Laursen, X. Meng, Int. J. Numer. Meth. Engng 62, 2005, doi:10.1002/nme.1222).
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg._numba import kernel
-from adaptmg.discrete.mortar.interface import MortarInterface, Surfaces, cross, nothing_covered
+from adaptmg.discrete.mortar.interface import MortarInterface, Parts, Surfaces, cross, integrated
 from adaptmg.geometry.search import BoxTree
 
 _LEAST_COVERED = 1e-3  # of a facet: less is left out
-_NEGLIGIBLE = 1e-13  # of the largest weight in a row of B
 _GAUSS = np.polynomial.legendre.leggauss(4)
 
 
 def mortar_2d(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     """Couple the nodes of a slave surface to a master surface."""
-    backward, forward = surfaces.depths(reach)
-    edge, facet, ends = _pieces(surfaces, backward, forward)
+    edge, facet, ends = _pieces(surfaces, *surfaces.depths(reach))
     covered = np.bincount(edge, ends[:, 1] - ends[:, 0], minlength=len(surfaces.slave))
-    kept = ((covered >= _LEAST_COVERED) & surfaces.carries[surfaces.slave].any(axis=1))[edge]
-    if not kept.any():
-        raise ValueError(nothing_covered(covered, reach, "edge"))
-    return _integrate(surfaces, edge[kept], facet[kept], ends[kept])
+    origin = np.where(covered > 0, np.inf, 0.0)
+    np.minimum.at(origin, edge, ends[:, 0])
+    slave, master = surfaces.slave[edge], surfaces.master[facet]
+    offset = (ends[:, :1] - origin[edge][:, None]) + np.diff(ends) * 0.5 * (1 + _GAUSS[0])
+    s = origin[edge][:, None] + offset
+    x, e = surfaces.points[slave[:, 0]], np.diff(surfaces.points[slave], axis=1)[:, 0]
+    measure = np.linalg.norm(e, axis=1)[:, None] * np.diff(ends) * 0.5 * _GAUSS[1]
+    if surfaces.axisymmetric:
+        measure = measure * (2 * np.pi * np.maximum(x[:, :1] + s * e[:, :1], 0.0))
+    eta, distance = _opposite(surfaces, slave, master, s)
+    corners = np.stack([-origin, 1 - origin], axis=1)[..., None]
+    parts = Parts(edge, facet, offset[..., None], measure, np.stack([1 - eta, eta], axis=2), distance, corners)
+    return integrated(surfaces, parts, covered, _LEAST_COVERED, reach)
 
 
 def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -113,63 +101,6 @@ def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.n
     return s
 
 
-def _integrate(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray, ends: np.ndarray) -> MortarInterface:
-    """MortarInterface from the covered parts ``ends`` of slave edges, and the master edges in front of them."""
-    slave, master = surfaces.slave[edge], surfaces.master[facet]
-    origin = np.full(len(surfaces.slave), np.inf)
-    np.minimum.at(origin, edge, ends[:, 0])
-    # positions relative to where the covered part begins: a small part must not suffer from cancellation
-    offset = (ends[:, :1] - origin[edge][:, None]) + np.diff(ends) * 0.5 * (1 + _GAUSS[0])
-    s = origin[edge][:, None] + offset
-    x, e = surfaces.points[slave[:, 0]], np.diff(surfaces.points[slave], axis=1)[:, 0]
-    measure = np.linalg.norm(e, axis=1)[:, None] * np.diff(ends) * 0.5 * _GAUSS[1]
-    if surfaces.axisymmetric:
-        measure = measure * (2 * np.pi * np.maximum(x[:, :1] + s * e[:, :1], 0.0))
-    psi, phi = _bases(surfaces, edge, origin, offset, measure)
-    eta, distance = _opposite(surfaces, slave, master, s)
-
-    n_nodes = len(surfaces.points)
-    diagonal, gap, closest = np.zeros(n_nodes), np.zeros(n_nodes), np.full(n_nodes, np.inf)
-    rows, columns, values = [], [], []
-    for j in (0, 1):
-        weighted = measure * psi[j]
-        own = surfaces.carries[slave[:, j]]
-        np.add.at(diagonal, slave[own, j], (measure * phi[j]).sum(axis=1)[own])
-        np.add.at(gap, slave[own, j], (weighted * distance).sum(axis=1)[own])
-        np.minimum.at(closest, slave[own, j], distance.min(axis=1)[own])
-        other = own & ~surfaces.carries[slave[:, 1 - j]]
-        for k, shape, used, sign in ((master[:, 0], 1 - eta, own, 1.0), (master[:, 1], eta, own, 1.0),
-                                     (slave[:, 1 - j], phi[1 - j], other, -1.0)):
-            rows.append(slave[used, j])
-            columns.append(k[used])
-            values.append(sign * (weighted * shape).sum(axis=1)[used])
-    nodes = np.flatnonzero(diagonal > 0)
-    total = sparse.csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
-                             shape=(n_nodes, n_nodes))
-    coupling = sparse.csr_array(sparse.diags_array(1 / diagonal[nodes]) @ total[nodes])
-    return MortarInterface(nodes=nodes, normals=surfaces.normals[nodes], weights=diagonal[nodes],
-                           gaps=gap[nodes] / diagonal[nodes], coupling=_without_rounding(coupling),
-                           closest=closest[nodes])
-
-
-def _bases(surfaces: Surfaces, edge: np.ndarray, origin: np.ndarray, offset: np.ndarray, measure: np.ndarray
-           ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Dual and shape functions of both ends at the integration points ``origin`` + ``offset`` of slave edges."""
-    n = len(surfaces.slave)
-    total = np.bincount(edge, measure.sum(axis=1), minlength=n)
-    total[total == 0] = 1.0  # an edge on the axis of symmetry
-    mean = np.bincount(edge, (measure * offset).sum(axis=1), minlength=n) / total
-    around = offset - mean[edge][:, None]
-    variance = np.bincount(edge, (measure * around**2).sum(axis=1), minlength=n) / total
-    variance[variance == 0] = 1.0
-    at_a, at_b = ((1 - origin) - mean)[edge][:, None], (origin + mean)[edge][:, None]  # means of the shape functions
-    slope = at_a * at_b * around / variance[edge][:, None]
-    first, second = at_a - slope, at_b + slope
-    carries = surfaces.carries[surfaces.slave[edge]]
-    first[~carries[:, 1]], second[~carries[:, 0]] = 1.0, 1.0
-    return (first, second), ((1 - origin)[edge][:, None] - offset, origin[edge][:, None] + offset)
-
-
 def _opposite(surfaces: Surfaces, slave: np.ndarray, master: np.ndarray, s: np.ndarray
               ) -> tuple[np.ndarray, np.ndarray]:
     """Position 0 .. 1 on the master edge, and distance along the unit normal, at points s (n, n_points)."""
@@ -180,22 +111,6 @@ def _opposite(surfaces: Surfaces, slave: np.ndarray, master: np.ndarray, s: np.n
     along = y[:, 1:] - y[:, :1]
     facing = cross(along, normal)
     return cross(at, normal) / facing, cross(at, along) / facing * np.linalg.norm(normal, axis=2)
-
-
-def _without_rounding(coupling: sparse.csr_array) -> sparse.csr_array:
-    """A matrix without entries that are zero to rounding; what they add up to goes to the largest of their row."""
-    coupling.sum_duplicates()
-    row = np.repeat(np.arange(coupling.shape[0]), np.diff(coupling.indptr))
-    size = np.abs(coupling.data)
-    largest = np.maximum.reduceat(size, coupling.indptr[:-1])
-    small = size <= _NEGLIGIBLE * largest[row]
-    left_out = np.bincount(row[small], coupling.data[small], minlength=coupling.shape[0])
-    coupling.data[small] = 0.0
-    first = np.lexsort((-size, row))[coupling.indptr[:-1]]
-    coupling.data[first] += left_out
-    coupling.eliminate_zeros()
-    coupling.sort_indices()
-    return coupling
 
 
 SHORTEST = 1e-13
