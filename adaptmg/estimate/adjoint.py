@@ -33,7 +33,6 @@ from adaptmg.multigrid.split_matrix import nodal_prolongations, split
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.smoother.system import held_tangents, local_contact, local_system
 from adaptmg.solver.record import Run
-from adaptmg.solver.result import Result
 from adaptmg.transfer.galerkin import galerkin_product
 
 _LOG = logging.getLogger(__name__)
@@ -55,9 +54,7 @@ class LinearisedContact:
     residual: np.ndarray  # (n_dofs,): A u - b, Cartesian, N
     gap: np.ndarray  # (n,), m
     slip: np.ndarray  # (n, dim - 1), m
-    force: np.ndarray  # (n, dim): contact forces in local components, force[:, 0] <= 0, N
-    limit: np.ndarray  # (n,): of the friction, N
-    fixed_limit: np.ndarray  # (n,): its part that does not depend on the pressure, N
+    fixed_limit: np.ndarray  # (n,): of the friction, its part that does not depend on the pressure, N
     slips: np.ndarray  # (n,) bool: nodes with friction at its limit, open ones of Tresca's law included
     sticks: np.ndarray  # (n,) bool
     unit: np.ndarray  # (n, dim - 1): f at slipping nodes
@@ -79,12 +76,19 @@ class LinearisedContact:
         """Return the inverse of :meth:`local`."""
         return rotate_back(vector, self.frames, self.nodes)
 
+    @property
+    def fixed_friction(self) -> np.ndarray:
+        """Forces (n_dofs,) of the friction that does not depend on pressure, in local components, N."""
+        forces = np.zeros((self.discrete.n_nodes, self.discrete.dim))
+        forces[self.nodes, 1:] = np.where(self.slips, self.fixed_limit, 0.0)[:, None] * self.unit
+        return forces.reshape(-1)
 
-def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedContact:
-    """Return the contact conditions of a result, linearised."""
+
+def linearised_contact(discrete: DiscreteProblem, displacement: np.ndarray, state: np.ndarray) -> LinearisedContact:
+    """Return the contact conditions at a displacement (n_nodes, dim) with these states, linearised."""
     nodal, frames = local_contact(discrete)
     dim, nodes = discrete.dim, discrete.contact.nodes
-    unknowns = discrete.relative(result.displacement).reshape(-1)
+    unknowns = discrete.relative(displacement).reshape(-1)
     residual = discrete.matrix @ unknowns - discrete.load
     held = held_tangents(discrete)
     moved = to_frames(frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference)
@@ -92,7 +96,6 @@ def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedC
         "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes])
     force = to_frames(frames, residual.reshape(-1, dim)[nodes])
     force[:, 1:][held] = 0.0
-    state = np.asarray(result.contact.state).astype(int)
     length = np.linalg.norm(slip, axis=1)
     rubs = (state == State.OPEN) & (nodal.limit > 0)
     still = rubs & (length <= _STILL * np.abs(unknowns).max(initial=0.0))
@@ -106,8 +109,8 @@ def linearised_contact(discrete: DiscreteProblem, result: Result) -> LinearisedC
     free = np.ones((len(nodes), dim), dtype=bool)
     free[state != State.OPEN, 0] = False
     free[:, 1:] = ~held & ~sticks[:, None]
-    return LinearisedContact(discrete, frames, state, unknowns, residual, gap, slip, force, limit, nodal.limit, slips,
-                             sticks, unit, direction, hessian, free, held)
+    return LinearisedContact(discrete, frames, state, unknowns, residual, gap, slip, nodal.limit, slips, sticks, unit,
+                             direction, hessian, free, held)
 
 
 def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -192,10 +195,10 @@ class AdjointSystem:
         return residual / size if size > 0 else residual
 
 
-def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
-    """Return the adjoint system of linearised contact conditions."""
-    local, dim = local_system(contact.discrete), contact.discrete.dim
-    matrix, n = sparse.csr_array(local.system.matrix), contact.discrete.n_dofs
+def error_spaces(contact: LinearisedContact) -> tuple[sparse.csr_array, np.ndarray, sparse.csr_array]:
+    """Return A + H in local components, the dofs (n_dofs,) that an error has, and T on them."""
+    local, dim, n = local_system(contact.discrete), contact.discrete.dim, contact.discrete.n_dofs
+    matrix = sparse.csr_array(local.system.matrix)
     at = contact.nodes[:, None] * dim + np.arange(dim)
     if contact.hessian.any():
         rows, columns = np.broadcast_arrays(at[:, 1:, None], at[:, None, 1:])
@@ -208,7 +211,13 @@ def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
     test = sparse.csr_array((np.concatenate([np.ones(len(every)), contact.direction[node, k]]),
                              (np.concatenate([every, at[node, 0]]), np.concatenate([every, at[node, 1 + k]]))),
                             shape=(n, n))
-    keep = sparse.diags_array(trial.astype(float), format="csr")
+    return matrix, trial, test
+
+
+def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
+    """Return the adjoint system of linearised contact conditions."""
+    matrix, trial, test = error_spaces(contact)
+    keep, dim = sparse.diags_array(trial.astype(float), format="csr"), contact.discrete.dim
     product = keep @ matrix @ test + sparse.diags_array((~trial).astype(float), format="csr")
     matrix = sparse.bsr_array(sparse.csr_array(product), blocksize=(dim, dim)).sorted_indices()
     return AdjointSystem(contact, matrix, trial, test)

@@ -1,11 +1,15 @@
 r"""Goal: the error of single quantities of a contact solution, by dual-weighted residuals.
 
-With the dual field z of a quantity J (:mod:`adaptmg.estimate.adjoint`) and edge bubbles b_E,
+On the mesh with all edges halved the new nodes M carry most of the error d of the interpolated solution
+:math:`u_h`. With the dual field z of a quantity J (:mod:`adaptmg.estimate.adjoint`), interpolated as well,
 
-.. math:: J(u) - J(u_h) \approx \sum_E \rho^*_E(d_E), \qquad \eta_E = |\rho^*_E(d^0_E)|
+.. math:: A_{MM}\,d = (b - A u_h)_M, \qquad
+          J(u) - J(u_h) \approx \tfrac43\,\bigl((J' - A^T z_h)_M \cdot d + J_{h/2}(u_h) - J_h(u_h)\bigr),
 
-(:mod:`adaptmg.estimate.edge_bubbles`). The signed sum is quoted; its parts by absolute value say where to
-refine, and overestimate the error several times (10 times on meshes by Netgen, where errors cancel).
+as halving the elements leaves a quarter of an error (hierarchical basis, R. Bank, R. K. Smith, SIAM J. Numer. Anal. 30,
+1993, doi:10.1137/0730048). The last difference is what the chords of curves change. Contact is linearised at the
+solution, and an edge between an open node and a closed one counts as open. The signed sum is quoted; its parts with the
+diagonal in place of :math:`A_{MM}` say by absolute value where to refine, and overestimate the error several times.
 
 R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and friction linearised at
 the solution as in the semismooth Newton method. The sum does not contain that the contact zones end elsewhere than in
@@ -14,76 +18,27 @@ the discrete solution; both fields are singular at the ends of the zones, so tha
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import LinearOperator, gmres
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
 from adaptmg._text import shortened
-from adaptmg.discrete.coordinates import from_frames
-from adaptmg.estimate.adjoint import AdjointSolution, LinearisedContact, adjoint_system, linearised_contact
-from adaptmg.estimate.edge_bubbles import BubbleError, EdgeBubbles, bubble_error, bubble_spaces, edge_bubbles
+from adaptmg.estimate.adjoint import AdjointSolution, adjoint_system, error_spaces
 from adaptmg.estimate.estimate import Estimate
-from adaptmg.estimate.stress_fields import Posed, posed
+from adaptmg.estimate.quantities import Functional, GoalView, Quantity, checked_functionals
+from adaptmg.estimate.stress_fields import posed
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import ContactProblem
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
 
-
-@dataclass(frozen=True, eq=False)
-class GoalView:
-    """A solution as quantities see it."""
-
-    posed: Posed  # problem, mesh, discrete problem and result
-    bubbles: EdgeBubbles
-    contact: LinearisedContact
-
-    def load_of(self, nodal: np.ndarray) -> np.ndarray:
-        """Return a functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative coordinates."""
-        return self.posed.discrete.relative_forces(np.asarray(nodal, dtype=np.float64).reshape(-1))
-
-
-@dataclass(frozen=True, eq=False)
-class Functional:
-    """A quantity of a solution, and how it changes with it."""
-
-    name: str  # for tables
-    value: float  # of the discrete solution, in unit
-    unit: str
-    vector: np.ndarray  # (n_dofs,): its derivative by the relative coordinates, Cartesian
-    bubbles: np.ndarray  # (n_edges, dim): its derivative by the bubbles of the edges
-    geometry: np.ndarray | None = None  # (n_edges,): what the chords of curves change in it
-
-
-class Quantity(Protocol):
-    """What a goal may ask for; a user-defined quantity is any object with this method."""
-
-    def functionals(self, view: GoalView) -> list[Functional]:
-        """Return the quantity, or several, of a solution."""
-
-
-def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
-    """Return what a quantity asks for; TypeError or ValueError, which name it, unless these are functionals of this
-    view."""
-    made, name = quantity.functionals(view), f"quantity {checks.shown(quantity)}: "
-    if not isinstance(made, (list, tuple)) or not all(isinstance(one, Functional) for one in made):
-        raise TypeError(f"{name}functionals(view) must return a list of Functional, got {checks.described(made)}")
-    if not made:
-        raise ValueError(f"{name}functionals(view) must return at least one Functional, got none")
-    n_edges = len(view.bubbles.edges)
-    for one in made:
-        checks.instance(f"{name}name", one.name, str, "text")
-        checks.number(f"{name}value", one.value)
-        check_arrays.array(f"{name}vector", one.vector, (view.posed.discrete.n_dofs,))
-        check_arrays.array(f"{name}bubbles", one.bubbles, (n_edges, view.posed.mesh.dim))
-        if one.geometry is not None:
-            check_arrays.array(f"{name}geometry", one.geometry, (n_edges,))
-    return list(made)
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -190,7 +145,7 @@ class Goal:
         """
         this = posed(hierarchy, result)
         need_linear(this.problem)
-        view = GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
+        view = GoalView.of(this)
         functionals = [one for item in self.quantities for one in checked_functionals(view, item)]
         names = tuple(one.name for one in functionals)
         if len(set(names)) < len(names):
@@ -199,12 +154,14 @@ class Goal:
         system, vectors = adjoint_system(view.contact), [one.vector for one in functionals]
         direct = len(hierarchy) == 1 or this.discrete.n_dofs <= DIRECT
         duals = system.direct(vectors) if direct else system.multigrid(hierarchy, vectors)
-        error, parts, signed = _bubbles(view, functionals, duals)
-        energy = error.energy / this.norm if this.norm > 0 else 0.0
+        fine, origin = view.halved()
+        finer = [one for item in self.quantities for one in checked_functionals(fine, item)]
+        error = HalvedError(view, fine, this.norm)
         algebraic = np.array([_algebraic(view, *pair) for pair in zip(functionals, duals, strict=True)])
-        errors = signed + algebraic
+        signed, parts = zip(*map(error.of_functional, functionals, finer, duals), strict=True)
+        errors = np.array(signed) + algebraic
         worst = int(np.argmax(np.abs(errors / sizes)))
-        squares = [view.bubbles.on_elements(part / size) for part, size in zip(parts, sizes, strict=True)]
+        squares = [_on_elements(fine, origin, part / size) for part, size in zip(parts, sizes, strict=True)]
         values = np.array([one.value for one in functionals])
         return GoalEstimate(
             squares=sum(squares), norm=this.norm, terms={name: part.sum() for name, part in zip(names, squares,
@@ -213,7 +170,8 @@ class Goal:
                                                                    else ""),
             value=1.0 if len(functionals) > 1 else float(values[0]), signed=float(errors[worst] / sizes[worst]),
             names=names, units=tuple(one.unit for one in functionals), values=values, errors=errors,
-            algebraic=algebraic, discretisation=energy, residuals=np.array([dual.residual for dual in duals]),
+            algebraic=algebraic, discretisation=error.energy,
+            residuals=np.array([dual.residual for dual in duals]),
             iterations=sum(dual.iterations for dual in duals), converged=all(dual.converged for dual in duals))
 
 
@@ -235,71 +193,58 @@ def _sizes(functionals: list[Functional]) -> np.ndarray:
     return sizes
 
 
-def _bubbles(view: GoalView, functionals: list[Functional], duals: list[AdjointSolution]
-             ) -> tuple[BubbleError, np.ndarray, np.ndarray]:
-    """The error in the bubbles, the parts that mark (n_goals, n_edges), and the signed errors (n_goals,)."""
-    this, bubbles = view.posed, view.bubbles
-    blocks, actions = bubbles.actions(np.array([this.result.displacement,
-                                                *(this.discrete.physical(dual.field) for dual in duals)]))
-    reactions = [view.contact.residual, *(_reaction(view, *pair) for pair in zip(functionals, duals, strict=True))]
-    loads = [bubbles.load() + _friction_work(view), *(one.bubbles for one in functionals)]
-    residual, *weighted = [load - action + _master_work(view, reaction)
-                           for load, action, reaction in zip(loads, actions, reactions, strict=True)]
-    error = bubble_error(bubbles, bubble_spaces(bubbles, view.contact), blocks, residual)
-    parts = np.abs(np.einsum("gnd,nd->gn", weighted, error.alone))
-    # whether the contact state alone, and no support, leaves a quantity no way to change
-    held = [not dual.field.any() and functional.vector[~this.discrete.fixed].any()
-            for functional, dual in zip(functionals, duals, strict=True)]
-    if any(held):
-        # of what the state does not let change the dual field contains nothing, but a finer mesh may have another
-        # state: the parts of the energy; in all a relative error of the displacement as large as that of the energy
-        squares = np.abs(np.einsum("nd,nd->n", residual, error.alone))
-        shares = squares / max(float(squares.sum()), np.finfo(float).tiny)
-        energy = error.energy / this.norm if this.norm > 0 else 0.0
-        moved = float(np.abs(view.contact.unknowns).max(initial=0.0))
-        for k in np.flatnonzero(held):
-            parts[k] = shares * energy * moved * float(np.abs(functionals[k].vector).sum())
-    geometry = np.array([np.zeros(parts.shape[1]) if one.geometry is None else one.geometry for one in functionals])
-    return error, parts + np.abs(geometry), np.einsum("gnd,nd->g", weighted, error.together) + geometry.sum(axis=1)
+#: an error over what halving all elements takes from it
+_WHOLE = 4 / 3
+#: residual of the equations of the new nodes, and the steps to a restart: their condition is about ten
+_RTOL, _STEPS = 1e-2, 30
 
 
-def _reaction(view: GoalView, functional: Functional, dual: AdjointSolution) -> np.ndarray:
-    """The reaction A z - j (n_dofs,) of a dual field."""
-    return view.posed.discrete.matrix @ dual.field - functional.vector
+class HalvedError:
+    """The error of a discrete solution at the new nodes of the mesh with all edges halved."""
+
+    def __init__(self, view: GoalView, fine: GoalView, norm: float) -> None:
+        self.view, self.fine, contact = view, fine, fine.contact
+        matrix, trial, test = error_spaces(contact)
+        new = np.flatnonzero(trial & (np.arange(len(trial)) >= view.discrete.n_dofs))
+        self.new, self.test = new, sparse.csr_array(test[:, new].T)
+        load = self.test @ (contact.fixed_friction - contact.local(contact.residual))
+        matrix = sparse.csr_array(self.test @ matrix[:, new])
+        diagonal = matrix.diagonal()
+        self.alone = load / diagonal  # of each new node by itself: marks
+        inner = LinearOperator(matrix.shape, lambda x: x.reshape(-1) / diagonal, dtype=np.float64)
+        # of all in one system: signed estimates. scipy tests the preconditioned residual
+        self.together, failed = gmres(matrix, load, rtol=_RTOL, atol=0.0, restart=_STEPS, maxiter=3, M=inner)
+        if failed:
+            _LOG.info("the equations of %d new unknowns were not solved to %.0e", len(new), _RTOL)
+        self.energies = np.abs(load * self.alone)
+        #: energy norm of the error over that of the solution
+        self.energy = float(np.sqrt(max(_WHOLE * load @ self.together, 0.0))) / norm if norm > 0 else 0.0
+
+    def of_functional(self, coarse: Functional, finer: Functional, dual: AdjointSolution) -> tuple[float, np.ndarray]:
+        """Return the signed error of a quantity, and the parts (n_nodes,) of the new nodes that mark."""
+        contact = self.fine.contact
+        reaction = finer.vector - self.fine.discrete.matrix @ self.fine.interpolated(dual.field)
+        weighted, geometry = contact.local(reaction)[self.new], _WHOLE * (finer.value - coarse.value)
+        signed, parts = _WHOLE * float(weighted @ self.together) + geometry, np.abs(weighted * self.alone)
+        if not dual.field.any() and coarse.vector[~self.view.discrete.fixed].any():
+            # the contact state alone leaves the quantity no way to change, but a finer mesh may have another state:
+            # the parts of the energy; in all a relative error of the displacement as large as that of the energy
+            moved = float(np.abs(self.view.contact.unknowns).max(initial=0.0) * np.abs(coarse.vector).sum())
+            parts = self.energies / max(float(self.energies.sum()), np.finfo(float).tiny) * self.energy * moved
+        nodal = np.bincount(self.new // contact.discrete.dim, parts, minlength=contact.discrete.n_nodes)
+        # an edge of length h changes a mean by h^3, a facet by h^4
+        dim, first = contact.discrete.dim, self.view.mesh.n_nodes
+        share = np.linalg.norm(finer.vector.reshape(-1, dim), axis=1) ** ((dim + 1) / (dim - 1))
+        share[:first] = 0.0
+        return signed, nodal + abs(geometry) * share / max(float(share.sum()), np.finfo(float).tiny)
 
 
-def _friction_work(view: GoalView) -> np.ndarray:
-    """Work (n_edges, dim) of the friction that does not depend on pressure on the bubbles of contact surfaces, N.
-    Contact conditions of slaves are part of the spaces, in which Coulomb's friction does no work; Tresca's does, the
-    part s / (s + mu p) of the friction."""
-    contact, solution, mesh = view.contact, view.posed.result.contact, view.posed.mesh
-    result = np.zeros((len(view.bubbles.edges), mesh.dim))
-    if not contact.fixed_limit.any():
-        return result
-    share = np.divide(contact.fixed_limit, contact.limit, out=np.zeros_like(contact.limit), where=contact.limit > 0)
-    traction = np.zeros((mesh.n_nodes, mesh.dim))
-    traction[solution.node] = share[:, None] * from_frames(solution.frames[:, 1:], solution.traction)
-    for name in solution.names:
-        surface = mesh.surface(name)
-        result += view.bubbles.boundary_work(surface, traction[surface.facets])
-    return result
-
-
-def _master_work(view: GoalView, reaction: np.ndarray) -> np.ndarray:
-    """Work (n_edges, dim) of contact forces, over lumped masses, on the bubbles of masters."""
-    discrete, mesh = view.posed.discrete, view.posed.mesh
-    result = np.zeros((len(view.bubbles.edges), mesh.dim))
-    if discrete.coupling is None:
-        return result
-    # at fixed dofs they are reactions of supports
-    forces = np.where(discrete.fixed, 0.0, discrete.physical_forces(reaction)).reshape(-1, mesh.dim)
-    problem = view.posed.problem
-    for name in dict.fromkeys([*filter(None, problem.masters), *(tie.master for tie in problem.ties)]):
-        surface = mesh.surface(name)
-        mass = surface.lumped(view.bubbles.axisymmetric)
-        traction = np.divide(forces, mass[:, None], out=np.zeros_like(forces), where=mass[:, None] > 0)
-        result += view.bubbles.boundary_work(surface, traction[surface.facets])
-    return result
+def _on_elements(fine: GoalView, origin: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Parts of the nodes of the halved mesh shared out evenly among the elements around each, by those that these come
+    from."""
+    elements = fine.mesh.elements
+    around = np.bincount(elements.ravel(), minlength=len(parts))
+    return np.bincount(origin, (parts / around)[elements].sum(axis=1))
 
 
 def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) -> float:
@@ -310,12 +255,10 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
 
     .. math:: -z \cdot r + \sum_{\mathrm{slip}} s\, f \cdot z_t - \lambda^* \cdot \delta, \qquad \lambda^* = A z - j .
     """
-    contact, discrete = view.contact, view.posed.discrete
-    dim, nodes = discrete.dim, contact.nodes
-    z = contact.local(dual.field).reshape(-1, dim)[nodes]
-    reaction = contact.local(_reaction(view, functional, dual)).reshape(-1, dim)[nodes]
+    contact, discrete = view.contact, view.discrete
+    reaction = contact.local(discrete.matrix @ dual.field - functional.vector).reshape(-1, discrete.dim)[contact.nodes]
     part = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))
-    part += float(np.sum(np.where(contact.slips, contact.fixed_limit, 0.0) * np.sum(contact.unit * z[:, 1:], axis=1)))
+    part += float(contact.fixed_friction @ contact.local(dual.field))
     touches, sticks = contact.state != State.OPEN, contact.sticks[:, None] & ~contact.held
     part -= float(np.sum(np.where(touches & np.isfinite(contact.gap), reaction[:, 0] * contact.gap, 0.0)))
     return part + float(np.sum(np.where(sticks, reaction[:, 1:] * contact.slip, 0.0)))

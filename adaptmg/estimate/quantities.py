@@ -6,32 +6,150 @@ with nodal directions d_i at the contact nodes of a boundary (the normal against
 the derivative :math:`J(v) = (A d) \cdot v`. Tangents that a support holds are left out: there the force of contact
 cannot be separated from that of the support. The gap is :math:`g_0 - u_n`, u_n between bodies relative.
 
-A mesh has chords in the place of curves, and the gap :math:`g_0` is linear between its nodes. What that changes in an
-opening is mostly far more than the error of the displacement; it follows from the gaps :math:`g_m` in the middle of the
-edges, on the curve: of a mean, with the edges halved there, :math:`\tfrac43 (J_{h/2} - J_h)`.
+A quantity is asked on the mesh of the solution, and for the solution on the mesh with all edges halved, whose new nodes
+lie on the curves of the domain: what its value changes there is the error of the chords.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
+from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.estimate.goal import Functional, GoalView
+from adaptmg.discrete.discretise import discretise
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.estimate.adjoint import LinearisedContact, linearised_contact
+from adaptmg.estimate.stress_fields import Posed
 from adaptmg.geometry.search import BoxTree
-from adaptmg.mesh.arrays import Surface
-from adaptmg.mesh.bisection.onto_domain import curved_boundaries, on_surface
-from adaptmg.problem import ContactPair
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.bisection.onto_domain import onto_domain
+from adaptmg.mesh.bisection.refine import refined
+from adaptmg.problem import ContactProblem
+from adaptmg.smoother.system import ContactState as State
 from adaptmg.transfer import PointLocator
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 #: how far outside its element a point may lie, over the size of the element
 _OUTSIDE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class GoalView:
+    """A solution on its mesh as quantities see it, or the same on the mesh with all edges halved."""
+
+    problem: ContactProblem
+    mesh: MeshArrays
+    displacement: np.ndarray  # (n_nodes, dim), m
+    contact: LinearisedContact
+    coarse: GoalView | None = None  # of the mesh whose edges are halved
+
+    @classmethod
+    def of(cls, posed: Posed) -> GoalView:
+        """Return the view of a result."""
+        u, state = posed.result.displacement, np.asarray(posed.result.contact.state).astype(int)
+        return cls(posed.problem, posed.mesh, u, linearised_contact(posed.discrete, u, state))
+
+    @property
+    def discrete(self) -> DiscreteProblem:
+        return self.contact.discrete
+
+    @property
+    def touching(self) -> ContactNodes:
+        """The contact nodes as they were posed."""
+        return (self.discrete.exchange or self.discrete).contact
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """The quotient (n_contact,) of displacements there and in the equations, see :class:`Exchange`."""
+        exchange = self.discrete.exchange
+        return np.ones(len(self.contact.nodes)) if exchange is None else exchange.sigma
+
+    def load_of(self, nodal: np.ndarray) -> np.ndarray:
+        """Return a functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative coordinates."""
+        return self.discrete.relative_forces(np.asarray(nodal, dtype=np.float64).reshape(-1))
+
+    def interpolated(self, coarse: np.ndarray) -> np.ndarray:
+        """Return a vector (n_dofs,) of the coarse mesh, relative coordinates, on this one."""
+        nodal = self.coarse.discrete.physical(coarse).reshape(-1, self.mesh.dim)
+        return self.discrete.relative(_halved(self.mesh, nodal, _mean)).reshape(-1)
+
+    def halved(self) -> tuple[GoalView, np.ndarray]:
+        """Return the view of the mesh with all edges halved, and for each of its elements the one that holds it."""
+        made = refined(self.mesh, np.ones(len(self.mesh.elements), dtype=bool))
+        mesh = onto_domain(self.problem.domain, made.mesh, self.mesh.n_nodes)
+        slips, states = np.zeros(self.displacement.shape), np.full(self.mesh.n_nodes, _NONE)
+        slips[self.touching.nodes], states[self.touching.nodes] = self.touching.slip_reference, self.contact.state
+        discrete = discretise(self.problem, mesh, slip_reference=_halved(mesh, slips, _mean))
+        u, states = _halved(mesh, self.displacement, _mean), _halved(mesh, states, _looser)
+        at = (discrete.exchange or discrete).contact.nodes
+        contact = linearised_contact(discrete, u, np.where(states[at] == _NONE, State.OPEN, states[at]))
+        # the forces that bend slips are not known at new nodes
+        contact = replace(contact, hessian=np.zeros_like(contact.hessian))
+        return GoalView(self.problem, mesh, u, contact, self), made.origin
+
+
+#: the state of a node without a contact condition
+_NONE = -1
+
+
+def _halved(mesh: MeshArrays, values: np.ndarray, rule: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    """Values (n_nodes, ...) of a mesh that was bisected, from those of the first nodes, by a rule for halved edges."""
+    n = len(values)
+    first, second = mesh.refinement.parents[n:].T
+    result = np.concatenate([values, np.zeros((len(first), *values.shape[1:]), values.dtype)])
+    while True:  # a new node may halve an edge of another one, whose number is lower
+        new = rule(result[first], result[second])
+        if np.array_equal(new, result[n:]):
+            return result
+        result[n:] = new
+
+
+def _mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return 0.5 * (a + b)
+
+
+def _looser(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The state between two nodes: the solution does not say where contact ends; without a condition the other's."""
+    return np.where(a == _NONE, b, np.where(b == _NONE, a, np.minimum(a, b)))
+
+
+@dataclass(frozen=True, eq=False)
+class Functional:
+    """A quantity of a solution, and how it changes with it."""
+
+    name: str  # for tables
+    value: float  # of the discrete solution, in unit
+    unit: str
+    vector: np.ndarray  # (n_dofs,): its derivative by the relative coordinates, Cartesian
+
+
+class Quantity(Protocol):
+    """What a goal may ask for; a user-defined quantity is any object with this method."""
+
+    def functionals(self, view: GoalView) -> list[Functional]:
+        """Return the quantity, or several, of a solution."""
+
+
+def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
+    """Return what a quantity asks for; TypeError or ValueError, which name it, unless these are functionals of this
+    view."""
+    made, name = quantity.functionals(view), f"quantity {checks.shown(quantity)}: "
+    if not isinstance(made, (list, tuple)) or not all(isinstance(one, Functional) for one in made):
+        raise TypeError(f"{name}functionals(view) must return a list of Functional, got {checks.described(made)}")
+    if not made:
+        raise ValueError(f"{name}functionals(view) must return at least one Functional, got none")
+    for one in made:
+        checks.instance(f"{name}name", one.name, str, "text")
+        checks.number(f"{name}value", one.value)
+        check_arrays.array(f"{name}vector", one.vector, (view.discrete.n_dofs,))
+    return list(made)
 
 
 def _axis(name: str, value: int | str, dim: int | None = None) -> int:
@@ -84,8 +202,7 @@ class Displacement:
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return one functional a point."""
-        mesh, points = view.posed.mesh, np.array(self.points)
-        k, u = _axis("component", self.component, mesh.dim), view.posed.result.displacement
+        mesh, points, k = view.mesh, np.array(self.points), _axis("component", self.component, view.mesh.dim)
         if points.shape[1] != mesh.dim:
             raise ValueError(f"points have {points.shape[1]} coordinates in a {mesh.dim}D problem")
         if self.body is not None and self.body not in mesh.bodies:
@@ -94,20 +211,13 @@ class Displacement:
         at = PointLocator(mesh, None if self.body is None else mesh.bodies.index(self.body)).locate(points)
         result = []
         for point, element, weights, distance in zip(self.points, at.element, at.weights, at.distance, strict=True):
-            if distance > _OUTSIDE * mesh.element_sizes[element]:
+            if view.coarse is None and distance > _OUTSIDE * mesh.element_sizes[element]:
                 raise ValueError(f"points: {point} lies {distance:.3g} m outside the mesh")
             nodal = np.zeros(mesh.points.shape)
             nodal[mesh.elements[element], k] = weights
-            bubbles = np.zeros((len(view.bubbles.edges), mesh.dim))
-            bubbles[view.bubbles.element_edges[element], k] = view.bubbles.values_at(weights)
-            value = float(weights @ u[mesh.elements[element], k])
-            result.append(Functional(f"u_{'xyz'[k]} at {_place(point)}", value, "m", view.load_of(nodal), bubbles))
+            value = float(np.sum(nodal * view.displacement))
+            result.append(Functional(f"u_{'xyz'[k]} at {_place(point)}", value, "m", view.load_of(nodal)))
         return result
-
-
-def _integrals(view: GoalView, surface: Surface) -> np.ndarray:
-    """Integrals (n_edges,) of the bubbles over facets."""
-    return view.bubbles.boundary_work(surface, np.ones((*surface.facets.shape, 1)))[:, 0]
 
 
 def _place(point: Sequence[float]) -> str:
@@ -138,31 +248,26 @@ class MeanDisplacement:
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the functional."""
-        mesh = view.posed.mesh
-        k, surface = _axis("component", self.component, mesh.dim), mesh.surface(self.boundary)
-        shares = surface.shape_integrals(view.bubbles.axisymmetric)
-        size = shares.sum()
-        nodal, bubbles = np.zeros(mesh.points.shape), np.zeros((len(view.bubbles.edges), mesh.dim))
-        np.add.at(nodal[:, k], surface.facets, shares / size)
-        bubbles[:, k] = _integrals(view, surface) / size
-        value = float(np.sum(nodal * view.posed.result.displacement))
-        return [Functional(f"mean u_{'xyz'[k]} on {self.boundary!r}", value, "m", view.load_of(nodal), bubbles)]
+        mesh, k = view.mesh, _axis("component", self.component, view.mesh.dim)
+        surface, nodal = mesh.surface(self.boundary), np.zeros(mesh.points.shape)
+        shares = surface.shape_integrals(view.problem.axisymmetric)
+        np.add.at(nodal[:, k], surface.facets, shares / shares.sum())
+        value = float(np.sum(nodal * view.displacement))
+        return [Functional(f"mean u_{'xyz'[k]} on {self.boundary!r}", value, "m", view.load_of(nodal))]
 
 
-def _contact_mask(view: GoalView, name: str) -> tuple[np.ndarray, float]:
+def _contact_mask(contact: ContactNodes, name: str) -> tuple[np.ndarray, float]:
     """Mask of the contact nodes of a boundary, and the sign: -1 where it is the master of a pair."""
-    contact = view.posed.result.contact
     if name == "contact":
-        return np.ones(len(contact.node), dtype=bool), 1.0
-    if name in contact.names:
-        return contact.boundary == contact.names.index(name), 1.0
-    if name in contact.pair_names:
-        return contact.boundary == contact.pair_names.index(name), 1.0
-    if name not in contact.masters:
-        candidates = ("contact", *contact.names, *filter(None, contact.masters))
-        raise ValueError(f"there is no contact on boundary {name!r}{checks.suggestion(name, candidates)}; contact is "
-                         f"on {', '.join(map(repr, contact.pair_names))}")
-    return np.isin(contact.boundary, [k for k, master in enumerate(contact.masters) if master == name]), -1.0
+        return np.ones(len(contact), dtype=bool), 1.0
+    pairs = [f"{slave} on {master}" if master else slave
+             for slave, master in zip(contact.names, contact.masters, strict=True)]
+    for names, sign in ((contact.names, 1.0), (pairs, 1.0), (contact.masters, -1.0)):
+        if name in names:
+            return np.isin(contact.boundary, [k for k, one in enumerate(names) if one == name]), sign
+    candidates = ("contact", *contact.names, *filter(None, contact.masters))
+    raise ValueError(f"there is no contact on boundary {name!r}{checks.suggestion(name, candidates)}; contact is on "
+                     f"{', '.join(map(repr, pairs))}")
 
 
 @dataclass(frozen=True)
@@ -197,8 +302,18 @@ class ContactForce:
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the functional."""
-        contact, discrete, dim = view.contact, view.posed.discrete, view.posed.mesh.dim
-        mine, sign = _contact_mask(view, self.boundary)
+        source = view if view.coarse is None else view.coarse
+        direction = self._direction(source)
+        value = float(direction @ source.contact.residual)
+        if view is not source:
+            direction = view.interpolated(direction)
+        name = f"{self.direction if isinstance(self.direction, str) else 'xyz'[self.direction]} force on "
+        return [Functional(name + repr(self.boundary), value, "N", view.discrete.matrix @ direction)]
+
+    def _direction(self, view: GoalView) -> np.ndarray:
+        """The directions d (n_dofs,)."""
+        contact, dim = view.contact, view.mesh.dim
+        mine, sign = _contact_mask(view.touching, self.boundary)
         local, named = np.zeros((len(mine), dim)), self.direction in ("normal", "tangential")
         if not named:
             local[mine] = sign * contact.frames[mine, :, _axis("direction", self.direction, dim)]
@@ -208,19 +323,12 @@ class ContactForce:
             raise ValueError("direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2")
         else:
             local[mine, 1] = 1.0
-        if discrete.exchange is not None:
-            # forces on the node that was posed are those of the equations over sigma
-            sigma = discrete.exchange.sigma
-            local = local / (np.abs(sigma) if named else sigma)[:, None]
-        vector = np.zeros((discrete.n_nodes, dim))
+        # forces on the node that was posed are those of the equations over sigma
+        local = local / (np.abs(view.sigma) if named else view.sigma)[:, None]
+        vector = np.zeros((view.discrete.n_nodes, dim))
         vector[contact.nodes] = from_frames(contact.frames, local)
-        flat = vector.reshape(-1)
         # where a support holds, the force of contact cannot be separated from its reaction
-        flat[discrete.fixed] = 0.0
-        action = view.bubbles.actions(discrete.physical(flat)[None])[1][0]
-        name = f"{self.direction if isinstance(self.direction, str) else 'xyz'[self.direction]} force on "
-        return [Functional(name + repr(self.boundary), float(flat @ contact.residual), "N", discrete.matrix @ flat,
-                           action)]
+        return np.where(view.discrete.fixed, 0.0, vector.reshape(-1))
 
 
 @dataclass(frozen=True)
@@ -230,7 +338,7 @@ class Opening:
     On curved boundaries of the domain, and in front of a curved obstacle, the signed estimate contains what the chords
     of the mesh change; on those of STEP files, combined solids and meshes without a domain it does not. Of a pair only
     that part of the slave counts that faces the master: where the slave bends away, the end of this part follows the
-    mesh, which the estimate does not contain; name a boundary that ends before.
+    mesh; name a boundary that ends before.
 
     Parameters
     ----------
@@ -258,143 +366,34 @@ class Opening:
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the functional."""
-        contact, result, mesh = view.contact, view.posed.result.contact, view.posed.mesh
-        mine, sign = _contact_mask(view, self.boundary)
+        contact, posed, mesh = view.contact, view.touching, view.mesh
+        mine, sign = _contact_mask(posed, self.boundary)
         if sign < 0:
             raise ValueError(f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps")
-        of_boundary = {k: mesh.surface(result.names[k]) for k in np.unique(result.boundary[mine])}
-        every = Surface(mesh.points, np.concatenate([one.facets for one in of_boundary.values()]))
-        masters = 0.0
         if self.point is None:
-            weights = np.where(mine, result.weights, 0.0)
-            weights = weights / weights.sum()
-            mean, size = float(weights @ result.gap), every.shape_integrals(view.bubbles.axisymmetric).sum()
-            bubbles = _integrals(view, every) / size
-            name = f"mean opening of {self.boundary!r}"
-            geometry = sum(_chords(view, k, own, mean) for k, own in of_boundary.items()) / size
-            masters = sum(_of_master(view, k) for k in of_boundary) / size
+            weights, name = np.where(mine, posed.weights, 0.0), f"mean opening of {self.boundary!r}"
+            weights /= weights.sum()
         else:
-            weights, bubbles = self._at_point(view, every.facets)
-            geometry = bubbles * sum(_bumps(view, k, own) for k, own in of_boundary.items())
-            name = f"opening of {self.boundary!r} at {_place(self.point)}"
-        sigma = 1.0 if view.posed.discrete.exchange is None else np.abs(view.posed.discrete.exchange.sigma)
-        vector = np.zeros((view.posed.discrete.n_nodes, mesh.dim))
-        vector[contact.nodes] = -(weights * sigma)[:, None] * contact.frames[:, 0]
-        normals = np.zeros(mesh.points.shape)
-        normals[result.node] = result.frames[:, 0]
-        along = normals[view.bubbles.edges].sum(axis=1)
-        length = np.linalg.norm(along, axis=1, keepdims=True)
-        along = -bubbles[:, None] * np.divide(along, length, out=np.zeros_like(along), where=length > 0) - masters
-        return [Functional(name, float(weights @ result.gap), "m", vector.reshape(-1), along, geometry)]
+            facets = np.concatenate([mesh.boundary_facets(posed.names[k]) for k in np.unique(posed.boundary[mine])])
+            weights, name = self._at_point(view, facets), f"opening of {self.boundary!r} at {_place(self.point)}"
+        # gaps of the node that was posed are those of the equations times sigma
+        weights = weights * np.abs(view.sigma)
+        vector = np.zeros((view.discrete.n_nodes, mesh.dim))
+        vector[contact.nodes] = -weights[:, None] * contact.frames[:, 0]
+        return [Functional(name, float(weights @ contact.gap), "m", vector.reshape(-1))]
 
-    def _at_point(self, view: GoalView, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Weights of the contact nodes (n_contact,) and of the edges (n_edges,) at the point."""
-        mesh, point = view.posed.mesh, np.array(self.point)
+    def _at_point(self, view: GoalView, facets: np.ndarray) -> np.ndarray:
+        """Weights of the contact nodes (n_contact,) at the point."""
+        mesh, point = view.mesh, np.array(self.point)
         if len(point) != mesh.dim:
             raise ValueError(f"point has {len(point)} coordinates in a {mesh.dim}D problem")
         (k,), (shape,), _ = BoxTree(mesh.points, facets).nearest(point[None])
         distance = np.linalg.norm(shape @ mesh.points[facets[k]] - point)
-        if distance > _OUTSIDE * np.ptp(mesh.points[facets[k]], axis=0).max():
+        if view.coarse is None and distance > _OUTSIDE * np.ptp(mesh.points[facets[k]], axis=0).max():
             raise ValueError(f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}")
-        weights, bubbles = np.zeros(len(view.contact.nodes)), np.zeros(len(view.bubbles.edges))
-        place = {node: i for i, node in enumerate(view.posed.result.contact.node)}
-        for corner, share in zip(facets[k], shape, strict=True):
-            if corner in place:
-                weights[place[corner]] += share
-            elif share > 1e-9:
-                raise ValueError(f"point {self.point}: its neighbour, node {corner}, carries no contact condition")
-        bubbles[view.bubbles.of_facets(facets[k:k + 1])[0]] = 4 * np.prod(_ends(shape[None]), axis=0)[0]
-        return weights, bubbles
-
-
-def _ends(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ends (n, n_edges) of the edges of facets."""
-    return (facets[:, :1], facets[:, 1:]) if facets.shape[1] == 2 else (facets, np.roll(facets, -1, axis=1))
-
-
-def _faced(view: GoalView, k: int) -> Surface:
-    """Facets of the master of pair k whose nodes are all faced by contact nodes."""
-    result, mesh = view.posed.result.contact, view.posed.mesh
-    facets = mesh.surface(result.masters[k]).facets
-    return Surface(mesh.points, facets[np.isin(facets, result.master_node[result.master_boundary == k]).all(axis=1)])
-
-
-def _of_master(view: GoalView, k: int) -> np.ndarray | float:
-    """By how much the bubbles (n_edges, dim) of the master of contact boundary k, moving outwards, close the gap."""
-    if not view.posed.result.contact.masters[k]:
-        return 0.0
-    faced = _faced(view, k)
-    return view.bubbles.boundary_work(faced, np.repeat(faced.normals[:, None], faced.facets.shape[1], axis=1))
-
-
-def _middles(view: GoalView, name: str, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
-    """Middles (n, n_edges, dim) of the edges of facets, on the curve, and how far (n, n_edges) out of the chord, m."""
-    points, (a, b) = surface.points, _ends(surface.facets)
-    middle = places = 0.5 * (points[a] + points[b])
-    normals = np.repeat(surface.normals[:, None], a.shape[1], axis=1)
-    curved = curved_boundaries(view.posed.problem.domain)
-    if name in curved:
-        flat = (-1, points.shape[1])
-        places = on_surface(*curved[name], points[a].reshape(flat), points[b].reshape(flat), normals.reshape(flat)
-                            ).reshape(middle.shape)
-    return places, np.einsum("npd,npd->np", places - middle, normals)
-
-
-def _middle_gaps(view: GoalView, k: int, surface: Surface) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gaps (n_nodes,), middles of the edges of facets of contact boundary k, and gaps (n, n_edges) there. A node
-    without a condition makes them NaN."""
-    contact, result, mesh = view.posed.problem.contact[k], view.posed.result.contact, view.posed.mesh
-    gap, normal = np.full((2, mesh.n_nodes), np.nan)
-    gap[result.node], normal[result.node] = result.gap, result.u_n
-    middles, out = _middles(view, contact.boundary, surface)
-    a, b = _ends(surface.facets)
-    if isinstance(contact, ContactPair):
-        # gaps that the user gives do not depend on the curve
-        between = 0.5 * (gap[a] + gap[b]) - (out if contact.gap is None else 0.0)
-    else:
-        flat, normals = (-1, mesh.dim), np.repeat(surface.normals[:, None], a.shape[1], axis=1)
-        _, first = contact.obstacle.contact(middles.reshape(flat), normals.reshape(flat))
-        between = np.reshape(first, a.shape) - 0.5 * (normal[a] + normal[b])
-    # where bodies touch at both ends they do so between
-    return gap, middles, np.maximum(between, 0.0)
-
-
-def _bumps(view: GoalView, k: int, surface: Surface) -> np.ndarray:
-    """By how much (n_edges,) the gap in the middle of an edge of contact boundary k exceeds that of its nodes, m."""
-    gap, _, between = _middle_gaps(view, k, surface)
-    a, b = _ends(surface.facets)
-    result = np.zeros(len(view.bubbles.edges))
-    result[view.bubbles.of_facets(surface.facets)] = np.nan_to_num(between - 0.5 * (gap[a] + gap[b]))
-    return result
-
-
-def _chords(view: GoalView, k: int, surface: Surface, mean: float) -> np.ndarray:
-    """What the curves of contact boundary k change in a mean, times the size of the boundary, by edges (n_edges,)."""
-    gap, middles, between = _middle_gaps(view, k, surface)
-    result = _halved(view, surface.facets, middles, gap[surface.facets] - mean, between - mean)
-    master = view.posed.result.contact.masters[k]
-    if master and view.posed.problem.contact[k].gap is None:
-        faced = _faced(view, k)
-        middles, out = _middles(view, master, faced)
-        result += _halved(view, faced.facets, middles, np.zeros(faced.facets.shape), -out)
-    return result
-
-
-def _halved(view: GoalView, facets: np.ndarray, middles: np.ndarray, corners: np.ndarray, between: np.ndarray
-            ) -> np.ndarray:
-    """4/3 of what an integral over facets changes with their edges halved at ``middles``, by edges (n_edges,)."""
-    mesh, dim = view.posed.mesh, facets.shape[1]
-    points = np.concatenate([mesh.points, middles.reshape(-1, dim)])
-    table = np.concatenate([facets, mesh.n_nodes + np.arange(between.size).reshape(between.shape)], axis=1)
-    values = np.concatenate([corners, between], axis=1)
-
-    def integrals(part: list[int]) -> np.ndarray:
-        cells = Surface(points, table[:, part])
-        return cells.measures * np.sum(cells.shares(view.bubbles.axisymmetric) * values[:, part], axis=1)
-
-    parts = [[0, 2], [2, 1]] if dim == 2 else [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
-    change = sum(map(integrals, parts)) - integrals(list(range(dim)))
-    share = np.nan_to_num(4 / 3 * change / between.shape[1])
-    result = np.zeros(len(view.bubbles.edges))
-    np.add.at(result, view.bubbles.of_facets(facets), np.repeat(share[:, None], between.shape[1], axis=1))
-    return result
+        nodal, nodes = np.zeros(mesh.n_nodes), view.touching.nodes
+        nodal[facets[k]] = shape
+        lone = facets[k][(shape > 1e-9) & ~np.isin(facets[k], nodes)]
+        if view.coarse is None and len(lone):
+            raise ValueError(f"point {self.point}: its neighbour, node {lone[0]}, carries no contact condition")
+        return nodal[nodes]

@@ -119,7 +119,7 @@ def _goals():
         return am.Goal(SimpleNamespace(functionals=made)).indicate(_grids(), _result())
 
     for name, change in {"vector": (lambda a: a[:-1], lambda a: a * NAN, lambda a: "v"),
-                         "bubbles": (lambda a: None, lambda a: a[1:]), "value": (lambda a: NAN,)}.items():
+                         "value": (lambda a: NAN,)}.items():
         yield from each(f"own functional: {name}", lambda v, n=name: of({n: v}), labelled(change))
 
 

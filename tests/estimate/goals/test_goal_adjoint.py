@@ -9,9 +9,8 @@ from bodies import bar_on_block
 
 import adaptmg as am
 from adaptmg.estimate import goal
-from adaptmg.estimate.adjoint import AdjointSystem, adjoint_system, linearised_contact
-from adaptmg.estimate.edge_bubbles import edge_bubbles
-from adaptmg.estimate.goal import GoalView
+from adaptmg.estimate.adjoint import AdjointSystem, adjoint_system
+from adaptmg.estimate.quantities import GoalView
 from adaptmg.estimate.stress_fields import posed
 
 EXACT = am.ActiveSet(rtol=1e-13)
@@ -36,8 +35,7 @@ def solved(name):
 
 
 def view_of(hierarchy, result):
-    this = posed(hierarchy, result)
-    return GoalView(this, edge_bubbles(this.mesh, this.problem), linearised_contact(this.discrete, result))
+    return GoalView.of(posed(hierarchy, result))
 
 
 def quantities(hierarchy):
