@@ -23,9 +23,8 @@ from adaptmg import _checks as checks
 from adaptmg.estimate.estimate import Estimate, estimate_for
 from adaptmg.level import meshed_domain
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection import check_marked
-from adaptmg.mesh.bisection.onto_domain import onto_domain
-from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.bisection import check_marked, refined
+from adaptmg.mesh.onto_domain import onto_domain
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.structured import lattices
 from adaptmg.problem import Assembly, Box, ContactProblem, Rectangle

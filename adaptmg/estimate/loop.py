@@ -29,7 +29,7 @@ from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, ma
 from adaptmg.estimate.step import Engine, Limits, Step, StoredStep, expected_seconds, restored, settled, sound_mesh
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.tables import with_refinement
+from adaptmg.mesh.bisection import with_refinement
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.problem import LoadPath, step_problem
 from adaptmg.solver.advice import once

@@ -29,8 +29,8 @@ from adaptmg.estimate.adjoint import LinearisedContact, linearised_contact
 from adaptmg.estimate.stress_fields import Posed
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.onto_domain import onto_domain
-from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.bisection import refined
+from adaptmg.mesh.onto_domain import onto_domain
 from adaptmg.problem import ContactProblem
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.transfer import PointLocator

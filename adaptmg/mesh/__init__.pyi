@@ -1,6 +1,6 @@
 from .arrays import MeshArrays as MeshArrays, to_ngsolve as to_ngsolve
 from .bisection import bisect as bisect, refine_near as refine_near
-from .bisection.onto_domain import onto_domain as onto_domain
+from .onto_domain import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized
 from .netgen_solid import solid_mesh as solid_mesh
 from .read import as_mesh as as_mesh, from_file as from_file, from_ngsolve as from_ngsolve

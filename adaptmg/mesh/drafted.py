@@ -21,7 +21,7 @@ from collections.abc import Callable
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.bisection import refined
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,

@@ -25,9 +25,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, swept
-from adaptmg.mesh.bisection.onto_domain import onto_domain
-from adaptmg.mesh.bisection.refine import refined
-from adaptmg.mesh.bisection.tables import as_initial
+from adaptmg.mesh.bisection import refined, with_refinement
 from adaptmg.mesh.delaunay import Untriangulated
 from adaptmg.mesh.domains import boundary_measures, distance_to_boundaries, in_edges
 from adaptmg.mesh.drafted import drafted
@@ -46,6 +44,7 @@ from adaptmg.mesh.netgen_plane import (
     unreachable,
 )
 from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
+from adaptmg.mesh.onto_domain import onto_domain
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.step import SizeFunction, step_contents, step_mesh, step_shapes
 from adaptmg.mesh.structured import body_centred, boundaries_of, merged, per_body
@@ -290,7 +289,7 @@ def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArra
     for _ in range(MAX_BISECTIONS):
         large, sizes = too_large(mesh, field)
         if not large.any():
-            return as_initial(mesh)
+            return with_refinement(mesh, None)
         refuse_too_many(expected_nodes(mesh, sizes), domain)
         mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
     raise unreachable(domain, large)

@@ -25,7 +25,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, Surface, facet_table, longest_edges, normalised, swept, trusted
-from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.bisection import refined
 from adaptmg.mesh.domains import extent
 from adaptmg.mesh.drafted import drafted
 from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, meshing_limit, netgen

@@ -10,7 +10,7 @@ from bisected_meshes import SQUARE, as_sets, cube, random_mask, verified
 import adaptmg as am
 from adaptmg.estimate.bisect import divisible
 from adaptmg.mesh import bisect, graded, structured
-from adaptmg.mesh.bisection.refine import refined
+from adaptmg.mesh.bisection import refined
 from adaptmg.problem import Outline
 
 PROBLEM = am.cases.greco_bar()

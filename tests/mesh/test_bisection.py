@@ -11,9 +11,8 @@ from bisected_meshes import SQUARE, crooked, cube, random_mask, verified
 
 from adaptmg.mesh import MeshArrays, bisect, check_mesh, graded, onto_domain, quality, refine_near, structured
 from adaptmg.mesh.arrays import Refinement
-from adaptmg.mesh.bisection.onto_domain import curved_boundaries
-from adaptmg.mesh.bisection.refine import bisected, refined
-from adaptmg.mesh.bisection.tables import cells_of, nodes_of, with_refinement
+from adaptmg.mesh.bisection import refined, with_refinement
+from adaptmg.mesh.onto_domain import curved_boundaries
 from adaptmg.problem import Assembly, Box, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import Ball, Common, Cut, Cylinder, Extrusion, Moved, Revolution
 from adaptmg.solver import store
@@ -96,20 +95,6 @@ def test_uniform_bisection_makes_the_next_structured_mesh():
         fine, _ = bisect(mesh, everything(mesh))
         assert fine.n_nodes == next_one.n_nodes and len(fine.elements) == len(next_one.elements)
         np.testing.assert_array_equal(np.unique(fine.points, axis=0), np.unique(next_one.points, axis=0))
-
-
-@EACH
-@pytest.mark.parametrize("every_edge", [True, False])
-def test_tables_that_grow_hold_the_same_as_those_with_room(mesh, every_edge):
-    fine, _ = bisect(mesh, random_mask(mesh, 0.2, 1))
-    marked, n = random_mask(fine, 0.3, 2), len(fine.elements)
-    found = []
-    for room in (0.0, 20.0):
-        cells, n_cells, nodes, n_nodes = bisected(cells_of(fine, room), n, mesh.dim + 1, nodes_of(fine, room),
-                                                  fine.n_nodes, marked, every_edge)
-        found.append((cells[:n_cells], nodes[fine.n_nodes:n_nodes]))
-    for tight, roomy in zip(*found, strict=True):
-        np.testing.assert_array_equal(tight, roomy)
 
 
 FINE_SQUARE = structured(Rectangle(width=1, height=1), 4)

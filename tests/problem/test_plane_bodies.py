@@ -11,7 +11,7 @@ from refused import refused
 
 import adaptmg as am
 from adaptmg.mesh import bisect, graded
-from adaptmg.mesh.bisection.onto_domain import onto_domain
+from adaptmg.mesh.onto_domain import onto_domain
 
 BLOCK = am.Rectangle(width=4.0, height=2.0)
 PLATE = am.Cut(BLOCK, am.Circle((2.0, 1.0), 0.5, "hole"))

@@ -1,0 +1,370 @@
+r"""bisect, refine_near, refined: nested refinement by bisection of marked elements.
+
+The edge between the first two corners of an element is halved at a new node p, the last corner of both children.
+Marked elements are bisected once, or until all their edges are halved (four triangles; at least eight tetrahedra), then
+all that have a halved edge, until none has one. That ends from any conforming mesh: triangles, because only edges of
+the mesh before are halved; tetrahedra, because a face is marked alike from both its sides. On curved boundaries new
+nodes lie on the chord; :func:`adaptmg.mesh.onto_domain` moves them onto the curve.
+
+Triangles (a, b, c), newest-vertex bisection: children (c, a, p) and (b, c, p).
+
+Tetrahedra, after D. N. Arnold, A. Mukherjee, L. Pouly (SIAM J. Sci. Comput. 22, 2000,
+doi:10.1137/S1064827597323373). Of each face one edge is marked; of the two that hold the halved edge it is that edge,
+the other two are (1, 2, 3) and (0, 2, 3), whose marks are coded 0, 1, 2: to corner 2, to corner 3, the edge (2, 3).
+A child's edge to be halved next is the mark of the face it inherits; the cut faces are marked opposite p, the new face
+(p, 2, 3) too, unless all marks of the parent lie in one plane and it is flagged: then from p to the next edge. Children
+of an unflagged plane one are flagged. From any tetrahedron this makes a bounded number of similarity classes.
+
+First labels: the longest edge goes first, of a face as of an element; among edges of one length that with the highest
+node numbers. This is one order of all edges of a mesh.
+
+Elements are rows of 32 bit integers: corners, the boundary facet opposite each (-1: none), marks, generation, origin.
+Halved edges are found through lists, one for each node: ``nodes[i, HEAD]`` is the first node that halves an edge from i
+to a lower number, ``nodes[p, NEXT]`` the next one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptmg import _checks as checks
+from adaptmg._numba import inner_kernel, kernel
+from adaptmg.mesh.arrays import MeshArrays, Refinement, element_facets, facet_keys, sound_by_construction, trusted
+from adaptmg.mesh.netgen_guard import MAX_NODES
+from adaptmg.mesh.soundness import check_mesh
+
+__all__ = ["bisect", "check_marked", "refine_near"]
+
+# what a flagged element has its marks raised by
+_FLAG = 9
+# columns of the nodes: first and next of the list of edges, and both ends of the edge that a node halves
+_HEAD, _NEXT, _LOW, _HIGH = range(4)
+#: by number of corners and of the child, and by the mark that becomes its first edge: the order of its corners; p has
+#: the place of corner 1 in the first child and of corner 0 in the second
+_ORDERS = {3: np.array([[[2, 0, 1]], [[1, 2, 0]]]), 4: np.array([[[0, 2, 3, 1], [3, 0, 2, 1], [2, 3, 0, 1]],
+                                                                 [[2, 1, 3, 0], [1, 3, 2, 0], [3, 2, 1, 0]]])}
+#: the same for what the mark of the new face, from p to the next edge, adds to the marks
+_NEW_MARK = np.array([[3, 1, 0], [1, 3, 0]])
+#: by number of corners: pairs of them, and for each as the longest edge an even order of the corners beginning with it
+_PAIRS = {3: np.array([[0, 1], [0, 2], [1, 2]]), 4: np.array([[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3]])}
+_TURNS = {3: np.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]]), 4: np.array([
+    [0, 1, 2, 3], [0, 2, 3, 1], [1, 2, 0, 3], [0, 3, 1, 2], [1, 3, 2, 0], [2, 3, 0, 1]])}
+
+
+def bisect(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> tuple[MeshArrays, np.ndarray]:
+    """Refine the marked elements.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        Not changed, nor its source.
+    marked : (n_elements,) array of bool
+        The elements to refine; at least one.
+    passes : int, optional
+        How often the marked elements are bisected, >= 1: once gives two of each, and adds fewest nodes. By default
+        until all their edges are halved.
+
+    Returns
+    -------
+    fine : MeshArrays
+        Nested in ``mesh``; the old nodes come first and keep their numbers, names and bodies stay. It carries its
+        history (``fine.refinement``), by which further bisection goes on.
+    parents : (n_fine_nodes, 2) array of int
+        Node i of ``fine`` is the midpoint of nodes ``parents[i]``, both below i (they may be new nodes themselves);
+        of an old node both are i.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If ``marked`` is not a mask over the elements, or marks none; if ``passes`` is not an integer >= 1.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> fine, parents = am.mesh.bisect(mesh, np.arange(len(mesh.elements)) < 2)
+    >>> fine.n_nodes > mesh.n_nodes
+    True
+    """
+    marked = check_marked(check_mesh(mesh), marked)
+    if not marked.any():
+        raise ValueError("marked marks no element: nothing to refine")
+    fine = refined(mesh, marked, None if passes is None else checks.integer("passes", passes, 1)).mesh
+    parents = np.array(fine.refinement.parents, dtype=np.int64)
+    parents[:mesh.n_nodes] = np.arange(mesh.n_nodes)[:, None]
+    return fine, parents
+
+
+def check_marked(mesh: MeshArrays, marked: np.ndarray) -> np.ndarray:
+    """Return ``marked`` as an array; TypeError or ValueError unless it is a boolean mask over the elements."""
+    marked = np.asarray(marked)
+    if marked.dtype != bool:
+        raise TypeError(f"marked must be a boolean mask over the elements, got {marked.dtype}")
+    if marked.shape != (len(mesh.elements),):
+        raise ValueError(f"marked must have shape ({len(mesh.elements)},), got {marked.shape}")
+    return marked
+
+
+def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int = 1) -> list[MeshArrays]:
+    """Refine the elements that touch some boundaries, again and again.
+
+    Parameters
+    ----------
+    mesh : MeshArrays
+        The coarsest mesh.
+    boundaries : str or sequence of str
+        Elements with a node on one of these are marked; of several bodies the names are "body.edge".
+    levels : int
+        How many times, >= 1.
+
+    Returns
+    -------
+    list of MeshArrays
+        ``levels + 1`` nested meshes, coarse to fine, the first being ``mesh`` itself.
+
+    Raises
+    ------
+    ValueError
+        On an unknown boundary, ``levels`` < 1, or where more than 5 million nodes (3D: 2 million) are expected:
+        each level doubles the elements at the boundaries (3D: four times).
+
+    Notes
+    -----
+    Elsewhere the mesh stays what it was: so does its part of the discretisation error.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> len(am.mesh.refine_near(mesh, "bottom", levels=2))
+    3
+    """
+    levels = checks.integer("levels", levels, 1)
+    names = (boundaries,) if isinstance(boundaries, str) else checks.strings("boundaries", boundaries)
+    if not names:
+        raise ValueError("boundaries must name at least one boundary")
+    meshes = [check_mesh(mesh, names)]
+    facets = sum(len(mesh.boundary_facets(name)) for name in names)
+    # each facet is cut in 2 (3D: 4) a level, and gets about as many new nodes next to it
+    expected = facets * (mesh.dim - 1) * 2.0 ** min((mesh.dim - 1) * levels, 1000)
+    if mesh.n_nodes + expected > MAX_NODES[mesh.dim]:
+        raise ValueError(f"levels: {levels} bisections along {facets} facets of {', '.join(names)} ask for about "
+                         f"{mesh.n_nodes + expected:.1g} nodes (at most {MAX_NODES[mesh.dim]:.0e}); take fewer levels")
+    for _ in range(levels):
+        meshes.append(bisect(meshes[-1], _touching(meshes[-1], names))[0])
+    return meshes
+
+
+def _touching(mesh: MeshArrays, names: Sequence[str]) -> np.ndarray:
+    """Mask of the elements with a node on one of some boundaries."""
+    near = np.zeros(mesh.n_nodes, dtype=bool)
+    for name in names:
+        near[mesh.boundary_nodes(name)] = True
+    return near[mesh.elements].any(axis=1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refined:
+    """A mesh made from another one by bisection."""
+
+    mesh: MeshArrays  # trusted, with its history and a source on demand
+    origin: np.ndarray  # (n_elements,) int: the element of the mesh before that holds each element
+
+
+def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
+    """Bisect the marked elements."""
+    if passes is None:
+        return _once(mesh, marked, True)
+    result = _once(mesh, marked, False)
+    generation = np.zeros(len(mesh.elements), np.int16) if mesh.refinement is None else mesh.refinement.generation
+    for _ in range(passes - 1):
+        late = result.mesh.refinement.generation - generation[result.origin] < passes
+        rest = marked[result.origin] & late
+        if not rest.any():
+            break
+        following = _once(result.mesh, rest, False)
+        result = Refined(mesh=following.mesh, origin=result.origin[following.origin])
+    return result
+
+
+def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
+    """Bisect the marked elements once, or until all their edges are halved."""
+    n, corners = mesh.elements.shape
+    rows, sizes, n_cells = _rows(mesh), np.array([n, mesh.n_nodes]), -1
+    # of uniform refinement in 2D: 4 times the elements, 4 times the nodes
+    room = min(1.0, 2.0 * np.count_nonzero(marked) / n) * (2.0 ** mesh.dim if every_edge else 2.0)
+    while n_cells < 0:
+        spare = (room * sizes).astype(int) + 16
+        cells = np.concatenate([rows, np.empty((spare[0], rows.shape[1]), dtype=np.int32)])
+        nodes = np.full((mesh.n_nodes + spare[1], 4), -1, dtype=np.int32)
+        n_cells, n_nodes = _bisected(cells, n, corners, nodes, mesh.n_nodes, marked, every_edge, _ORDERS[corners],
+                                     _NEW_MARK, np.empty(rows.shape[1], dtype=np.int64))
+        room = 2 * room + 0.5
+    points = np.empty((n_nodes, mesh.dim))
+    points[:mesh.n_nodes] = mesh.points
+    _halfway(points, mesh.n_nodes, nodes)
+    parents = np.concatenate([_parents(mesh), nodes[mesh.n_nodes:n_nodes, [_LOW, _HIGH]]])
+    # in the order of the elements they come from: neighbours stay near
+    cells = cells[np.argsort(cells[:n_cells, -1], kind="stable")]
+    return Refined(mesh=_mesh_of(mesh, points, parents, cells), origin=cells[:, -1].copy())
+
+
+def _parents(mesh: MeshArrays) -> np.ndarray:
+    """Parents (n_nodes, 2) of each node since the initial mesh."""
+    if mesh.refinement is not None:
+        return mesh.refinement.parents
+    return np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
+
+
+def _rows(mesh: MeshArrays) -> np.ndarray:
+    """The elements as rows, labelled if the mesh was never bisected."""
+    n, corners = mesh.elements.shape
+    cells, sides = mesh.elements, _sides(mesh)
+    if mesh.refinement is None:
+        turn = _TURNS[corners][_longest(mesh.points, cells)]
+        cells, sides = np.take_along_axis(cells, turn, axis=1), np.take_along_axis(sides, turn, axis=1)
+        generation = marks = np.zeros(n, dtype=np.int32)
+        if corners == 4:
+            marks = 3 * _longest(mesh.points, cells[:, 1:]) + _longest(mesh.points, cells[:, [0, 2, 3]])
+    else:
+        marks, generation = mesh.refinement.marks, mesh.refinement.generation
+    return np.column_stack([cells, sides, marks, generation, np.arange(n)]).astype(np.int32)
+
+
+def _sides(mesh: MeshArrays) -> np.ndarray:
+    """The boundary facet opposite each corner of each element, -1 where there is none."""
+    on = np.zeros(mesh.n_nodes, dtype=bool)
+    on[mesh.facets] = True
+    result = np.full(mesh.elements.shape, -1, dtype=np.int32)
+    near = np.flatnonzero(on[mesh.elements].sum(axis=1) >= mesh.dim)
+    keys = facet_keys(mesh.facets, mesh.n_nodes)
+    order = np.argsort(keys)
+    own = facet_keys(element_facets(mesh.elements[near]).reshape(-1, mesh.dim), mesh.n_nodes)
+    facet = order[np.minimum(np.searchsorted(keys[order], own), len(keys) - 1)]
+    result[near] = np.where(keys[facet] == own, facet, -1).reshape(len(near), -1)
+    return result
+
+
+def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """The number of the pair of corners that is the longest edge of each cell."""
+    pairs = _PAIRS[cells.shape[1]]
+    low, high = np.sort(cells[:, pairs], axis=2).transpose(2, 1, 0)
+    # lengths are added up alike from both sides of a face
+    squares = sum(np.square(x[low] - x[high]) for x in points.T)
+    longest, every = np.zeros(len(cells), dtype=np.int64), np.arange(len(cells))
+    for k in range(1, len(pairs)):
+        square, a, b = squares[longest, every], low[longest, every], high[longest, every]
+        later = (high[k] > b) | ((high[k] == b) & (low[k] > a))
+        longest[(squares[k] > square) | ((squares[k] == square) & later)] = k
+    return longest
+
+
+def _mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray) -> MeshArrays:
+    """The mesh that rows hold, with the boundaries and bodies of the mesh they come from."""
+    corners = before.dim + 1
+    marks = 2 * corners
+    opposite = element_facets(np.arange(corners)[None])[0]
+    # in the order of the facets they come from
+    row, side = np.nonzero(cells[:, corners:marks] >= 0)
+    origin = cells[row, corners + side]
+    order = np.argsort(origin, kind="stable")
+    facets, origin = cells[row[:, None], opposite[side]][order], origin[order]
+    mesh = MeshArrays(points, cells[:, :corners], facets, before.facet_labels[origin], before.boundaries,
+                      before.element_body[cells[:, -1]], before.bodies)
+    history = Refinement(parents, cells[:, marks].astype(np.int8), cells[:, marks + 1].astype(np.int16))
+    return with_refinement(sound_by_construction(mesh), history)
+
+
+def with_refinement(mesh: MeshArrays, refinement: Refinement | None) -> MeshArrays:
+    """Return the same mesh with another history, its source and soundness kept."""
+    result = trusted(mesh, vars(mesh)["source"], mesh.sound)
+    object.__setattr__(result, "refinement", refinement)
+    return result
+
+
+@inner_kernel
+def _midpoint_of(nodes, a, b):
+    """The node that halves the edge (a, b), -1 if it is not halved."""
+    low, high = (a, b) if a < b else (b, a)
+    p = nodes[high, _HEAD]
+    while p >= 0 and nodes[p, _LOW] != low:  # what follows in a list was entered before
+        p = nodes[p, _NEXT]
+    return p
+
+
+@inner_kernel
+def _halve(nodes, n_nodes, a, b):
+    """The node that halves the edge (a, b), entered in the next row if it is new, and the number of nodes."""
+    p = np.int64(_midpoint_of(nodes, a, b))
+    if p < 0:
+        p = n_nodes
+        low, high = (a, b) if a < b else (b, a)
+        nodes[p, _LOW], nodes[p, _HIGH] = low, high
+        nodes[p, _NEXT], nodes[high, _HEAD] = nodes[high, _HEAD], p
+        n_nodes += 1
+    return p, n_nodes
+
+
+@inner_kernel
+def _has_halved_edge(cells, e, corners, nodes):
+    for i in range(1, corners):
+        for j in range(i):
+            if _midpoint_of(nodes, cells[e, i], cells[e, j]) >= 0:
+                return True
+    return False
+
+
+@inner_kernel
+def _write_children(cells, e, n, corners, p, orders, new_mark, old):
+    """Bisect element e at node p: children into rows e and n; ``old`` is scratch."""
+    for k in range(len(old)):
+        old[k] = cells[e, k]
+    flagged = old[2 * corners] >= _FLAG
+    marks = old[2 * corners] - _FLAG if flagged else old[2 * corners]
+    plane = corners == 4 and marks // 3 == marks % 3 and marks < 6
+    for child in range(2):
+        row, mark = (n, marks // 3) if child else (e, marks % 3)
+        for j in range(corners):
+            k = orders[child, mark, j]
+            cells[row, j] = p if k == 1 - child else old[k]
+            cells[row, corners + j] = -1 if k == child else old[corners + k]
+        marked = new_mark[child, mark] if plane and flagged else 0
+        cells[row, 2 * corners] = marked + (_FLAG if plane and not flagged else 0)
+        cells[row, 2 * corners + 1] = old[2 * corners + 1] + 1
+        cells[row, 2 * corners + 2] = old[2 * corners + 2]
+
+
+@kernel
+def _bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge, orders, new_mark, old):
+    """Bisect the marked elements and what conformity asks for; returns the numbers of elements and nodes, -1 where the
+    tables have too few rows."""
+    most = corners if every_edge else 2
+    for e in range(n_cells):
+        for i in range(1, most if marked[e] else 0):
+            for j in range(i):
+                if n_nodes == len(nodes):
+                    return -1, -1
+                _, n_nodes = _halve(nodes, n_nodes, cells[e, i], cells[e, j])
+    before = 0
+    # a round in which no edge is halved is the last: closures of these bisections are finite (Maubach, 1995)
+    while n_nodes > before:
+        before, e = n_nodes, 0
+        while e < n_cells:  # children come last, and their closure is finite
+            while _has_halved_edge(cells, e, corners, nodes):  # each bisection takes up a row
+                if n_cells == len(cells) or n_nodes == len(nodes):
+                    return -1, -1
+                p, n_nodes = _halve(nodes, n_nodes, cells[e, 0], cells[e, 1])
+                _write_children(cells, e, n_cells, corners, p, orders, new_mark, old)
+                n_cells += 1
+            e += 1
+    return n_cells, n_nodes
+
+
+@kernel
+def _halfway(points, n_old, nodes):
+    """Move the nodes from ``n_old`` on halfway between their parents, in ``points``."""
+    for p in range(n_old, len(points)):
+        a, b = nodes[p, _LOW], nodes[p, _HIGH]
+        for k in range(points.shape[1]):
+            points[p, k] = 0.5 * (points[a, k] + points[b, k])
