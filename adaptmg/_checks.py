@@ -11,8 +11,9 @@ import operator
 import os
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
+from functools import cache, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar, get_args, get_type_hints
 
 import numpy as np
 
@@ -246,3 +247,34 @@ def suggestion(name: str, names: Iterable[str]) -> str:
     """Return the most similar of ``names`` as text to follow "does not exist"; "" if none is similar."""
     close = get_close_matches(name, list(names), n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+class Checked:
+    """A frozen dataclass whose annotations say how its fields are checked.
+
+    A field ``Annotated[T, check]`` becomes what ``check(name, value)`` returns; with ``| None`` it may be None too.
+    """
+
+    def __post_init__(self) -> None:
+        for name, check, optional in _field_checks(type(self)):
+            value = getattr(self, name)
+            if value is not None or not optional:
+                object.__setattr__(self, name, check(name, value))
+
+
+@cache
+def _field_checks(kind: type) -> list[tuple[str, Callable[[str, object], object], bool]]:
+    result = []
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        choices = (hint, *get_args(hint))
+        found = [check for one in choices for check in getattr(one, "__metadata__", ()) if callable(check)]
+        result += [(name, check, type(None) in choices) for check in found]
+    return result
+
+
+FieldLike = float | Callable[[np.ndarray], np.ndarray]  # a number, or a function of position (n, dim) -> (n,)
+Name = Annotated[str, boundary_name]
+Flag = Annotated[bool, flag]
+Quantity = Annotated[float, quantity]
+Size = Annotated[float, partial(quantity, positive=True)]
+Value = Annotated[FieldLike, function_or]

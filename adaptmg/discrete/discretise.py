@@ -63,7 +63,7 @@ from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Law, NodalLaw, check_law
-from adaptmg.problem.load_path import DEFAULT, name_in_path
+from adaptmg.problem.load_path import DEFAULT
 from adaptmg.problem.loads import InitialStrain, Preload
 from adaptmg.problem.surfaces import ContactPair, Periodic
 
@@ -137,7 +137,7 @@ def _nodal_law(problem: ContactProblem, mesh: MeshArrays, contact: ContactNodes)
     laws = [problem.law if one.law is None else one.law for one in problem.contact]
     if all(one is problem.law for one in laws):
         law = problem.law.at_nodes(points, contact.weights)
-        check_law(law)  # a user's own may return anything
+        check_law("law", law)  # a user's own may return anything
         return law
     bounds = np.zeros((2, len(contact)))
     for k, one in enumerate(laws):
@@ -145,7 +145,7 @@ def _nodal_law(problem: ContactProblem, mesh: MeshArrays, contact: ContactNodes)
         if not own.any():
             continue
         law = one.at_nodes(points[own], contact.weights[own])
-        check_law(law)
+        check_law("law", law)
         check_bounds(law, int(own.sum()))
         bounds[:, own] = law.bounds(int(own.sum()))
     return NodalLaw(*bounds)
@@ -417,17 +417,17 @@ class LoadSteps:
 def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> LoadSteps:
     """Return the loads and supports of a problem one by one."""
     loads, strains, strain_loads = {}, {}, {}
-    for name in dict.fromkeys(map(name_in_path, problem.loads)):
+    for name in dict.fromkeys(load.path_name for load in problem.loads):
         named = [load.shortening(mesh.dim) if isinstance(load, Preload) else load for load in problem.loads
-                 if name_in_path(load) == name]
+                 if load.path_name == name]
         forces = load_vector(mesh, named, problem.material, problem.elements)
         loads[name] = discrete.relative_forces(forces)
         if (own := [load for load in named if isinstance(load, InitialStrain)]):
             strains[name] = StressData.of(mesh, problem.material, own).initial_strain
             strain_loads[name] = discrete.relative_forces(load_vector(mesh, own, problem.material, problem.elements))
     prescribed = {}
-    for name in dict.fromkeys(map(name_in_path, problem.supports)):
-        fixed, values = fixed_dofs(mesh, [support for support in problem.supports if name_in_path(support) == name])
+    for name in dict.fromkeys(one.path_name for one in problem.supports):
+        fixed, values = fixed_dofs(mesh, [support for support in problem.supports if support.path_name == name])
         dofs = np.flatnonzero(fixed)
         prescribed[name] = dofs, values[dofs]
     held = HeldNodes(discrete.held.reshape(-1, mesh.dim), discrete.inclined)
@@ -435,7 +435,7 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
         if isinstance(tie, Periodic) and tie.jump is not None:
             free = np.flatnonzero(~held.fixed[nodes].reshape(-1))
             dofs = (mesh.dim * nodes[:, None] + np.arange(mesh.dim)).reshape(-1)[free]
-            before = prescribed.get(name := name_in_path(tie), (np.empty(0, dtype=np.int64), np.empty(0)))
+            before = prescribed.get(name := tie.path_name, (np.empty(0, dtype=np.int64), np.empty(0)))
             prescribed[name] = tuple(map(np.append, before, (dofs, jump_of(tie, nodes, held).reshape(-1)[free])))
     return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed,
                      StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh)

@@ -13,7 +13,7 @@ from adaptmg.discrete.obstacles import along_free, facing_obstacle
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.moving import Moving
+from adaptmg.problem.surfaces import Moving
 
 #: normals that turn by less than this do not
 _ROUNDING = 1e-14

@@ -19,8 +19,7 @@ from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
 from adaptmg.discrete.supports import held_directions
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem
-from adaptmg.problem.moving import Moving, Obstacle, Rigid
-from adaptmg.problem.surfaces import ContactPair
+from adaptmg.problem.surfaces import ContactPair, Moving, Obstacle, Rigid
 
 _ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
 TANGENTIAL = 1e-8  # a component of a unit normal below this is none

@@ -160,7 +160,7 @@ class DiscreteProblem(Unknowns):
         together in it.
         """
         checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
-        check_law(law)
+        check_law("law", law)
         contact.check_name_contact()
         dim, fixed = contact.dim, checked_mask("fixed", fixed)
         blocks, n = checked_matrix(matrix, dim), len(fixed)
@@ -254,7 +254,7 @@ class DiscreteProblem(Unknowns):
 
     def __post_init__(self) -> None:
         checks.instance("contact", self.contact, ContactNodes, "ContactNodes(...)")
-        check_law(self.law)
+        check_law("law", self.law)
         checks.boundary_name("name", self.name)
         dim = self.contact.dim
         matrix = checked_matrix(self.matrix, dim)

@@ -10,8 +10,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.discrete.inclined import Inclined
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.load_path import name_in_path, times
-from adaptmg.problem.loads import AnySupport, FieldLike, PointSpring, PointSupport, Support, Symmetry
+from adaptmg.problem.loads import AnySupport, FieldLike, PointSpring, PointSupport, Support, Symmetry, times
 
 _AT_POINT = 1e-9  # of the size of the mesh: nodes nearer to a point lie at it
 _ALONG_AXIS = 1e-9  # of the cosine with an axis or a mean normal; of prescribed values
@@ -116,7 +115,7 @@ def inclined_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> Incli
                          f"{tuple(mesh.points[nodes[i]].tolist())}: give them values that agree, or free one")
     moved: dict[str, np.ndarray] = {}
     for k, one in enumerate(held):
-        name = name_in_path(one.support)
+        name = one.support.path_name
         moved[name] = moved.get(name, 0.0) + inverse[:, :, k] * values[:, k, None]
     return Inclined(nodes, inverse @ rows, {name: part for name, part in moved.items() if part.any()})
 

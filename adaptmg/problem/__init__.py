@@ -17,7 +17,6 @@ from adaptmg.problem.loads import (
     Traction,
 )
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStrain, PlaneStress, Solid
-from adaptmg.problem.moving import Moving, Rigid
 from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import (
     Assembly,
@@ -31,7 +30,7 @@ from adaptmg.problem.solid_domains import (
     Revolution,
     StepFile,
 )
-from adaptmg.problem.surfaces import ContactPair, GapFunction, Periodic, Plane, Tied
+from adaptmg.problem.surfaces import ContactPair, GapFunction, Moving, Periodic, Plane, Rigid, Tied
 
 __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact", "ContactPair",
            "ContactProblem", "Coulomb", "Cracked", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless",

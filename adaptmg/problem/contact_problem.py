@@ -4,26 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any, get_args
+from functools import partial
+from typing import Annotated, Any, get_args
 
 from adaptmg import _checks as checks
+from adaptmg._checks import Flag, Name
 from adaptmg._text import brief, html_fields
 from adaptmg.problem.laws import Frictionless, Law, check_law
-from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, Preload, Pressure, Traction
+from adaptmg.problem.loads import AnySupport, InitialStrain, Load, Preload, Pressure, Traction
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStress
-from adaptmg.problem.moving import Moving, Obstacle, Rigid, moving_parts
 from adaptmg.problem.plane_domains import Domain
-from adaptmg.problem.surfaces import ContactPair, Periodic, Plane, Tied
+from adaptmg.problem.surfaces import (
+    AnyObstacle,
+    ContactPair,
+    OwnLaw,
+    Periodic,
+    Rigid,
+    Tied,
+    moving_parts,
+)
 
 CONTACT = "contact"  # name of all contact boundaries together
 _MOST_STIFFER = 1e15  # between the Young's moduli of two bodies
-_LOADS = (Pressure, Traction, BodyForce, InitialStrain, Preload)
 ELEMENTS = ("linear", "smoothed")
 _MOST_POISSON = 0.4  # of smoothed elements
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
+class Contact(checks.Checked):
     """A boundary that may touch a rigid obstacle.
 
     Parameters
@@ -43,21 +51,38 @@ class Contact:
     'bottom'
     """
 
-    boundary: str
-    obstacle: Obstacle
-    allow_interference: bool = False
+    boundary: Name
+    obstacle: AnyObstacle
+    allow_interference: Flag = False
     _: KW_ONLY
-    law: Law | None = None
+    law: OwnLaw | None = None
 
-    def __post_init__(self) -> None:
-        check_law(self.law, none=True)
-        checks.boundary_name("boundary", self.boundary)
-        checks.offers("obstacle", self.obstacle, "contact", "a Plane or a GapFunction, or offer contact()")
-        checks.flag("allow_interference", self.allow_interference)
+
+def _several(*types: type) -> partial:
+    return partial(checks.items, types=types)
+
+
+def _materials(name: str, material: object) -> Elastic | dict[str, Elastic]:
+    if isinstance(material, Elastic):
+        return material
+    if not isinstance(material, Mapping) or not material or not all(isinstance(m, Elastic) for m in material.values()):
+        raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or map each body's name to "
+                        f"one of them, got {checks.described(material)}")
+    for body in material:
+        checks.boundary_name("the names of bodies in material", body)
+    kinds = {body: type(m).__name__ for body, m in material.items()}
+    if len({(m.dim, isinstance(m, Axisymmetric)) for m in material.values()}) > 1:
+        raise ValueError(f"material: the bodies must be all Solid, all Axisymmetric, or all plane, got {kinds}")
+    soft, stiff = (pick(material, key=lambda body: material[body].young) for pick in (min, max))
+    if material[stiff].young > _MOST_STIFFER * material[soft].young:
+        raise ValueError(f"material: Young's moduli must lie within a factor {_MOST_STIFFER:g} of each other, got "
+                         f"{material[stiff].young:g} ({stiff!r}) and {material[soft].young:g} ({soft!r}): use "
+                         "am.Contact for a rigid body")
+    return dict(material)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ContactProblem:
+class ContactProblem(checks.Checked):
     """Elastic bodies in contact: pure data in SI units (m, N, Pa), without a mesh.
 
     The theory is linear but for contact and friction: small strains and slips, linear elasticity, linear
@@ -102,35 +127,29 @@ class ContactProblem:
     2
     """
 
-    material: Elastic | Mapping[str, Elastic]
-    contact: Contact | ContactPair | tuple[Contact | ContactPair, ...] = ()
+    material: Annotated[Elastic | Mapping[str, Elastic], _materials]
+    contact: Annotated[Contact | ContactPair | tuple[Contact | ContactPair, ...], _several(Contact, ContactPair)] = ()
     law: Law | Any = None  # Any: it is None only while the problem is made
-    ties: Tied | Periodic | tuple[Tied | Periodic, ...] = ()
-    loads: tuple[Load, ...] = ()
-    supports: tuple[AnySupport, ...] = ()
+    ties: Annotated[Tied | Periodic | tuple[Tied | Periodic, ...], _several(Tied, Periodic)] = ()
+    loads: Annotated[tuple[Load, ...], _several(*get_args(Load))] = ()
+    supports: Annotated[tuple[AnySupport, ...], _several(*get_args(AnySupport))] = ()
     domain: Domain | Any = None  # Any: only problems without a domain need the test for None
-    elements: str = "linear"
-    name: str = "contact problem"
-    reference: Mapping[str, Any] = field(default_factory=dict)
+    elements: Annotated[str, partial(checks.choice, choices=ELEMENTS)] = "linear"
+    name: Name = "contact problem"
+    reference: Annotated[Mapping[str, Any], partial(checks.mapping, words="names to values")
+                         ] = field(default_factory=dict)
 
     __repr__, _repr_html_ = brief, html_fields
 
     def __post_init__(self) -> None:
-        if not isinstance(self.material, Elastic):
-            object.__setattr__(self, "material", _materials(self.material))
-        checks.convert(self, checks.items, "contact", types=(Contact, ContactPair))
-        checks.convert(self, checks.items, "ties", types=(Tied, Periodic))
+        super().__post_init__()
         if self.law is None and all(one.law is not None for one in self.contact):
             object.__setattr__(self, "law", Frictionless())
-        check_law(self.law)
-        checks.convert(self, checks.items, "loads", types=_LOADS)
-        checks.convert(self, checks.items, "supports", types=get_args(AnySupport))
+        check_law("law", self.law)
         self._check_elements()
-        checks.boundary_name("name", self.name)
-        checks.instance("reference", self.reference, Mapping, "a mapping of names to values")
         for load in self.loads:
             if isinstance(load, Preload):
-                if "xyz".index(load.axis) >= self.dim or (self.axisymmetric and load.axis != "y"):
+                if load.direction >= self.dim or (self.axisymmetric and load.axis != "y"):
                     raise ValueError(f"axis of the preload of {load.body!r} must be "
                                      + ("'y' in axisymmetry" if self.axisymmetric else "'x' or 'y' in the plane")
                                      + f", got {load.axis!r}")
@@ -142,37 +161,59 @@ class ContactProblem:
             if support.boundary is None and len(support.point) != self.dim:
                 raise ValueError(f"{checks.shown(support)} is at a point with {len(support.point)} components in a "
                                  f"{self.dim}D problem")
-        _check_contact(self.contact, self.dim, self.axisymmetric)
-        _check_ties(self.ties, self.contact_boundaries, self.dim)
-        self._check_name_contact()
+        self._check_contact()
+        self._check_sides()
+        if CONTACT in self._uses() and self.contact_boundaries != (CONTACT,):
+            raise ValueError(f"the name {CONTACT!r} stands for all contact boundaries together, but names a boundary "
+                             f"used for {self._uses()[CONTACT]} where contact is on "
+                             f"{', '.join(map(repr, self.contact_boundaries))}: rename it")
         if self.domain is not None:
             self._check_domain(self.domain)
         if self.bodies:
             self.check_bodies(self.bodies)
 
     def _check_elements(self) -> None:
-        linear = checks.choice("elements", self.elements, ELEMENTS) == "linear"
+        linear = self.elements == "linear"
         for one in [self.material] if isinstance(self.material, Elastic) else self.material.values():
             if linear and one.incompressible:
                 raise ValueError(f"poisson must be less than 0.5 with linear elements, got {one.poisson!r}: take "
                                  "elements=\"smoothed\"")
-            if not linear and one.anisotropy is not None:
-                self._check_anisotropic(one)
+            if linear or one.anisotropy is None:
+                continue
+            if one.anisotropy.varies:
+                raise ValueError("axes of an anisotropic material must not vary in a body with smoothed elements: take "
+                                 "elements=\"linear\"")
+            if one.poisson > _MOST_POISSON and not isinstance(one, PlaneStress):
+                raise ValueError(f"an anisotropic material must have a mean Poisson's ratio of at most "
+                                 f"{_MOST_POISSON:g} with smoothed elements, got {one.poisson:g}: take "
+                                 "elements=\"linear\"")
 
-    def _check_anisotropic(self, one: Elastic) -> None:
-        if one.anisotropy.varies:
-            raise ValueError("axes of an anisotropic material must not vary in a body with smoothed elements: take "
-                             "elements=\"linear\"")
-        if one.poisson > _MOST_POISSON and not isinstance(one, PlaneStress):
-            raise ValueError(f"an anisotropic material must have a mean Poisson's ratio of at most {_MOST_POISSON:g} "
-                             f"with smoothed elements, got {one.poisson:g}: take elements=\"linear\"")
+    def _check_contact(self) -> None:
+        for one in self.contact:
+            if not isinstance(one, Contact):
+                continue
+            if getattr(one.obstacle, "dim", self.dim) != self.dim:
+                raise ValueError(f"the {type(one.obstacle).__name__} in front of {one.boundary!r} is "
+                                 f"{one.obstacle.dim}D, the material {self.dim}D")
+            for part in moving_parts(one.obstacle) if self.axisymmetric else ():
+                if part.free != (1,) if isinstance(part, Rigid) else part.displacement[0] or part.rotation.any():
+                    raise ValueError(f"the obstacle {part.name!r} in front of {one.boundary!r} must move along the "
+                                     "axis only, or be pressed along it, in an axisymmetric problem")
+        for tie in self.ties:
+            if isinstance(tie, Periodic) and len(tie.jump or (0,) * self.dim) != self.dim:
+                raise ValueError(f"jump must have {self.dim} components, got {len(tie.jump)}")
 
-    def _check_name_contact(self) -> None:
-        """``Result.resultant("contact")`` is that of all contact boundaries: no other may have this name."""
-        if CONTACT in self._uses() and self.contact_boundaries != (CONTACT,):
-            raise ValueError(f"the name {CONTACT!r} stands for all contact boundaries together, but names a boundary "
-                             f"used for {self._uses()[CONTACT]} where contact is on "
-                             f"{', '.join(map(repr, self.contact_boundaries))}: rename it")
+    def _check_sides(self) -> None:
+        """Raise ValueError if a boundary carries nodes of two contacts or ties, or a master is a slave of its kind."""
+        slaves = [*self.contact_boundaries, *(tie.slave for tie in self.ties)]
+        if twice := [name for name in slaves if slaves.count(name) > 1]:
+            raise ValueError(f"boundary {twice[0]!r} is named twice as contact boundary or as slave of a tie: swap "
+                             "slave and master of one, or cut the boundary in two")
+        for kind in ([one for one in self.contact if isinstance(one, ContactPair)], self.ties):
+            for one in kind:
+                if one.master in [other.slave for other in kind]:
+                    raise ValueError(f"boundary {one.master!r} is the master of {one.slave!r} and slave of another "
+                                     "pair: swap slave and master of one, or cut the boundary in two")
 
     def _uses(self) -> dict[str, str]:
         used = dict.fromkeys(self.tied_boundaries, "a tie") | dict.fromkeys(self.pair_boundaries, "contact")
@@ -257,53 +298,3 @@ class ContactProblem:
                 use = "a load" if item in self.loads else "a support"
                 raise ValueError(f"body {body!r}, used for {use}, does not exist"
                                  f"{checks.suggestion(body, known)}; the bodies are {', '.join(map(repr, known))}")
-
-
-def _materials(material: object) -> dict[str, Elastic]:
-    if not isinstance(material, Mapping) or not material or not all(isinstance(m, Elastic) for m in material.values()):
-        raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or map each body's name to "
-                        f"one of them, got {checks.described(material)}")
-    for name in material:
-        checks.boundary_name("the names of bodies in material", name)
-    kinds = {name: type(m).__name__ for name, m in material.items()}
-    if len({(m.dim, isinstance(m, Axisymmetric)) for m in material.values()}) > 1:
-        raise ValueError(f"material: the bodies must be all Solid, all Axisymmetric, or all plane, got {kinds}")
-    soft, stiff = (pick(material, key=lambda name: material[name].young) for pick in (min, max))
-    if material[stiff].young > _MOST_STIFFER * material[soft].young:
-        raise ValueError(f"material: Young's moduli must lie within a factor {_MOST_STIFFER:g} of each other, got "
-                         f"{material[stiff].young:g} ({stiff!r}) and {material[soft].young:g} ({soft!r}): use "
-                         "am.Contact for a rigid body")
-    return dict(material)
-
-
-def _check_ties(ties: tuple[Tied | Periodic, ...], contact_boundaries: tuple[str, ...], dim: int) -> None:
-    slaves = [tie.slave for tie in ties]
-    for tie in ties:
-        if isinstance(tie, Periodic) and len(tie.jump or (0,) * dim) != dim:
-            raise ValueError(f"jump must have {dim} components, got {len(tie.jump)}")
-        if slaves.count(tie.slave) > 1 or tie.slave in contact_boundaries:
-            raise ValueError(f"boundary {tie.slave!r} is named twice as slave of ties and contacts: swap slave and "
-                             "master of one, or cut the boundary in two")
-        if tie.master in slaves:
-            raise ValueError(f"boundary {tie.master!r} is the master of {tie.slave!r} and slave of another tie: swap "
-                             "slave and master in one of the ties, or cut the boundary in two")
-
-
-def _check_contact(contact: tuple[Contact | ContactPair, ...], dim: int, axisymmetric: bool) -> None:
-    names = [c.boundary for c in contact]
-    rigid = {c.boundary for c in contact if isinstance(c, Contact)}
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"boundary {name!r} is named twice as contact boundary: swap slave and master of a pair, "
-                             "or cut the boundary in two")
-    for c in contact:
-        if isinstance(c, ContactPair) and c.master in names and c.master not in rigid:
-            raise ValueError(f"boundary {c.master!r} is the master of {c.slave!r} and slave of another pair: "
-                             "swap slave and master in one of the pairs, or cut the boundary in two")
-        if isinstance(c, Contact) and isinstance(c.obstacle, Plane | Moving | Rigid) and c.obstacle.dim != dim:
-            raise ValueError(f"the {type(c.obstacle).__name__} in front of {c.boundary!r} is {c.obstacle.dim}D, the "
-                             f"material {dim}D")
-        for one in moving_parts(c.obstacle) if axisymmetric and isinstance(c, Contact) else ():
-            if one.free != (1,) if isinstance(one, Rigid) else one.displacement[0] or one.rotation.any():
-                raise ValueError(f"the obstacle {one.name!r} in front of {c.boundary!r} must move along the axis only, "
-                                 "or be pressed along it: an axisymmetric body has no other rigid motion")

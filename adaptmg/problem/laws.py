@@ -36,11 +36,11 @@ class Law(Protocol):
         """Return nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
 
 
-def check_law(law: object, *, none: bool = False) -> None:
-    """Raise TypeError unless ``law`` is an instance with the two methods of a law, or None where that may be."""
-    words = "Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds"
-    for method in ("at_nodes", "bounds") * (law is not None or not none):
-        checks.offers("law", law, method, words)
+def check_law(name: str, law: Law) -> Law:
+    """Return ``law`` if it is an instance with the two methods of a law."""
+    for method in ("at_nodes", "bounds"):
+        checks.offers(name, law, method, "Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds")
+    return law
 
 
 @dataclass(frozen=True, eq=False)

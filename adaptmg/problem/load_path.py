@@ -5,7 +5,7 @@ Friction depends on the history: the same load, applied in another order, leaves
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -16,15 +16,10 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.problem.contact_problem import Contact, ContactProblem
-from adaptmg.problem.loads import AnySupport, BodyForce, InitialStrain, Load, PointSupport, Preload, Pressure, Support
-from adaptmg.problem.moving import moving_parts, placed
-from adaptmg.problem.surfaces import Periodic, Tied
+from adaptmg.problem.loads import Acting, Preload
+from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
 
-BODY_FORCE = "body force"  # name of body forces that act on all bodies
 DEFAULT = "default"  # name of all loads together, where no ContactProblem names them
-
-Acting = Load | AnySupport | Periodic | Tied
-Field = float | Callable[[np.ndarray], np.ndarray]
 
 _ROUNDING = 1e-14
 
@@ -36,7 +31,7 @@ class LoadPath:
     Parameters
     ----------
     factors : mapping of str to float or sequence of float
-        Factor of each step, by the name of loads and supports, or where one alone acts by that of its place: a
+        Factor of each step, by the name of loads and supports, or where one alone is called so by that of its place: a
         boundary, "point (0, 1)" of a PointSupport, a body (InitialStrain, BodyForce), "body force" (of all bodies). A
         single number holds in all steps.
         Factors below 1e-14 of the largest of their sequence, what rounding leaves of zero, become zero.
@@ -93,73 +88,39 @@ class LoadPath:
             raise ValueError(f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem have "
                              "no names: give default=... alone, or a hierarchy made from a ContactProblem")
         names = (DEFAULT,) if problem is None else names_in_path(problem)
-        shared = {} if problem is None else _shared_places(problem)
-        for name in self.factors:
-            if name in shared:
-                kinds = " and a ".join(type(one).__name__ for one in shared[name])
-                others = [repr(one) for one in names if one not in shared]
-                raise ValueError(f"path names {name!r}, where a {kinds} act: give each a name=, and the path their "
-                                 f"names{'; known are ' * bool(others)}{', '.join(others)}")
         _check_names("path names", self.factors, names)
+        for name in self.factors:
+            alike = [one for one in _acting(problem) if one.path_name == name]
+            if len(alike) > 1 and not all(one.name for one in alike):
+                kinds = " and a ".join(type(one).__name__ for one in alike)
+                raise ValueError(f"path names {name!r}, where a {kinds} act: give each a name=")
         return {name: self.of(name) for name in names}
 
 
-def name_in_path(item: Acting) -> str:
-    """Return the name under which a path scales a load or support: its own, or that of its place."""
-    return getattr(item, "name", None) or _place(item)
-
-
-def _place(item: Acting) -> str:
-    if isinstance(item, InitialStrain | Preload):
-        return item.body
-    if isinstance(item, Tied | Periodic):
-        return item.slave
-    if isinstance(item, BodyForce):
-        return BODY_FORCE if item.body is None else item.body
-    return item.boundary or item.place
-
-
 def _acting(problem: ContactProblem) -> list[Acting]:
-    """All loads, and the supports and periodic sides that prescribe a displacement other than zero."""
-    return [*problem.loads, *(one for one in problem.supports if any(one.components(problem.dim))
-                              or (isinstance(one, Support) and one.normal)),
-            *(one for one in problem.ties if isinstance(one, Periodic) and any(one.jump or ()))]
+    """Return what a path scales: loads, prescribed displacements and jumps other than zero, and moving obstacles."""
+    held = [one for one in (*problem.supports, *problem.ties) if isinstance(one, Acting) and one.acts]
+    return [*problem.loads, *held, *_obstacles(problem)]
+
+
+def _obstacles(problem: ContactProblem) -> list[Moving | Rigid]:
+    return [part for one in problem.contact if isinstance(one, Contact) for part in moving_parts(one.obstacle)]
 
 
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
-    """Return the names of all loads and of the supports that prescribe a displacement other than zero, each once."""
-    named = list(map(name_in_path, _acting(problem)))
-    for load in problem.loads:
-        if isinstance(load, Preload) and named.count(load.path_name) > 1:
-            raise ValueError(f"{load.path_name!r} is the name of a preload and of another load or support: give each "
-                             "a name= of its own")
-    for name in obstacles_in_path(problem):
-        if name in named:
-            raise ValueError(f"{name!r} is the name of an obstacle and of a load or support: give one name=")
-    return tuple(dict.fromkeys([*named, *obstacles_in_path(problem)]))
-
-
-def _shared_places(problem: ContactProblem) -> dict[str, list[Acting]]:
-    """By the name of a place what acts there: several, of which one at least has no name of its own."""
-    at: dict[str, list[Acting]] = {}
-    for item in _acting(problem):
-        at.setdefault(_place(item), []).append(item)
-    for item in _acting(problem):
-        name = getattr(item, "name", None)
-        if name in at and not any(item is one for one in at[name]):
-            at[name].append(item)
-    return {place: items for place, items in at.items()
-            if len(items) > 1 and not all(getattr(one, "name", None) for one in items)}
+    """Return the names of all that a path scales, each once; those of preloads and obstacles belong to one alone."""
+    acting = _acting(problem)
+    named = [one.path_name for one in acting]
+    for one in acting:
+        if isinstance(one, Preload | Moving | Rigid) and named.count(one.path_name) > 1:
+            raise ValueError(f"{one.path_name!r} is the name of a {type(one).__name__} and of another load, support or "
+                             "obstacle: give each a name= of its own")
+    return tuple(dict.fromkeys(named))
 
 
 def obstacles_in_path(problem: ContactProblem) -> list[str]:
     """Return the names of the obstacles that move."""
-    named = [one.name for contact in problem.contact if isinstance(contact, Contact)
-             for one in moving_parts(contact.obstacle)]
-    for name in named:
-        if named.count(name) > 1:
-            raise ValueError(f"{name!r} is the name of two moving obstacles: give each a name= of its own")
-    return named
+    return [one.name for one in _obstacles(problem)]
 
 
 def _factors(name: str, value: ArrayLike) -> np.ndarray:
@@ -178,18 +139,6 @@ def _spread(value: np.ndarray, steps: int) -> np.ndarray:
     return result
 
 
-@dataclass(frozen=True)
-class Scaled:
-    """A function of position times a number."""
-
-    function: Callable[[np.ndarray], np.ndarray]
-    factor: float
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Values (n,) at points (n, dim)."""
-        return self.factor * np.asarray(self.function(points))
-
-
 def step_problem(problem: ContactProblem, factors: Mapping[str, float],
                  motions: Mapping[str, ArrayLike] | None = None) -> ContactProblem:
     """Return the problem with its loads and prescribed displacements multiplied by the factors of one load step.
@@ -202,9 +151,8 @@ def step_problem(problem: ContactProblem, factors: Mapping[str, float],
     """
     factors = {name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()}
     _check_names("factors name", factors, names_in_path(problem))
-    by_kind = (("loads", _load), ("supports", _support), ("ties", _jump))
-    changed = {kind: tuple(change(one, factors.get(name_in_path(one), 1.0)) for one in getattr(problem, kind))
-               for kind, change in by_kind}
+    changed = {kind: tuple(one.scaled(factors.get(one.path_name, 1.0)) if isinstance(one, Acting) else one
+                           for one in getattr(problem, kind)) for kind in ("loads", "supports", "ties")}
     if motions is not None:
         changed["loads"] = tuple(one.shortening(problem.dim, *np.ravel(motions[one.path_name]))
                                  if isinstance(one, Preload) else one for one in changed["loads"])
@@ -218,30 +166,3 @@ def _check_names(what: str, factors: Mapping[str, object], names: tuple[str, ...
         if name not in names:
             raise ValueError(f"{what} {name!r}, which no load, moving obstacle or prescribed displacement other than "
                              f"zero has; known are {', '.join(map(repr, names)) or 'none'}")
-
-
-def times(value: Field | None, factor: float) -> Field | None:
-    """Return a number or function of position times a factor."""
-    if value is None or factor == 1.0:
-        return value
-    return Scaled(value, factor) if callable(value) else factor * value
-
-
-def _load(load: Load, factor: float) -> Load:
-    if isinstance(load, Pressure):
-        return replace(load, value=times(load.value, factor))
-    if isinstance(load, Preload):
-        return replace(load, force=factor * load.force)
-    return replace(load, components=tuple(times(value, factor) for value in load.components))
-
-
-def _jump(tie: Tied | Periodic, factor: float) -> Tied | Periodic:
-    moved = isinstance(tie, Periodic) and tie.jump is not None
-    return replace(tie, jump=tuple(factor * value for value in tie.jump)) if moved else tie
-
-
-def _support(support: AnySupport, factor: float) -> AnySupport:
-    if not isinstance(support, Support | PointSupport):
-        return support
-    names = ("x", "y", "z", "normal") if isinstance(support, Support) else ("x", "y", "z")
-    return replace(support, **{name: times(getattr(support, name), factor) for name in names})

@@ -5,16 +5,18 @@ Values are numbers, or vectorised functions of position (n, dim) -> (n,).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, field
-from typing import ClassVar
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import partial
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._checks import FieldLike, Name, Quantity, Size, Value
 
-FieldLike = float | Callable[[np.ndarray], np.ndarray]
+BODY_FORCE = "body force"  # name of body forces that act on all bodies
 
 
 def _components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]:
@@ -24,13 +26,78 @@ def _components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]
     return tuple(checks.function_or(name, value) for value in entries)
 
 
-def _check_name(name: str | None) -> None:
-    if name is not None:
-        checks.boundary_name("name", name)
+def point(name: str, value: object) -> np.ndarray:
+    """Return a read-only array of 2 or 3 coordinates."""
+    result = check_arrays.vector(name, value)
+    if result.size not in (2, 3):
+        raise ValueError(f"{name} must have 2 or 3 components, got {result.size}")
+    return result
+
+
+def _nonnegative(name: str, value: object) -> float:
+    result = checks.quantity(name, value)
+    if not result >= 0:
+        raise ValueError(f"{name} must be >= 0, got {result!r}")
+    return result
+
+
+Components = Annotated[tuple[FieldLike, ...], _components]
+Point = Annotated[tuple[float, ...], lambda name, value: tuple(point(name, value).tolist())]
+Stiffness = Annotated[float, _nonnegative]
 
 
 @dataclass(frozen=True)
-class Pressure:
+class Product:
+    """Two numbers or functions of position, multiplied."""
+
+    first: FieldLike
+    second: FieldLike
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Return the values (n,) at points (n, dim)."""
+        first, second = (np.asarray(one(points)) if callable(one) else one for one in (self.first, self.second))
+        return first * second
+
+
+def times(value: Any, factor: float) -> Any:
+    """Return a number, array, function of position, or tuple of them, times a factor; None stays."""
+    if value is None or factor == 1.0:
+        return value
+    if isinstance(value, tuple):
+        return tuple(times(one, factor) for one in value)
+    return Product(value, factor) if callable(value) else factor * value
+
+
+class Acting(checks.Checked):
+    """What a load path scales: the base class of loads, supports, periodic sides and moving obstacles."""
+
+    name: str | None = None
+    _amounts: ClassVar[tuple[str, ...]] = ()  # the fields that a factor multiplies
+
+    @property
+    def place(self) -> str:
+        """The name of the boundary or body, or the point as text."""
+        if hasattr(self, "point"):
+            return f"point ({', '.join(f'{x:.6g}' for x in self.point)})"
+        return getattr(self, "boundary", None) or getattr(self, "body", None) or BODY_FORCE
+
+    @property
+    def path_name(self) -> str:
+        """The name in load paths: its own, or that of the place."""
+        return self.name or self.place
+
+    @property
+    def acts(self) -> bool:
+        """Whether a factor changes anything."""
+        return any(np.any(getattr(self, name)) for name in self._amounts)
+
+    def scaled(self, factor: float) -> Self:
+        """Return the same, multiplied by a factor."""
+        return replace(self, **{name: times(getattr(self, name), factor) for name in self._amounts})
+
+
+@dataclass(frozen=True)
+class Pressure(Acting):
     """Pressure on a boundary: traction ``-value * n``, n outward.
 
     Parameters
@@ -49,19 +116,15 @@ class Pressure:
     >>> ramp = am.Pressure("top", lambda x: 1e9 * x[:, 0])            # Pa, at points (n, dim)
     """
 
-    boundary: str
-    value: FieldLike
+    boundary: Name
+    value: Value
     _: KW_ONLY
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("boundary", self.boundary)
-        checks.convert(self, checks.function_or, "value")
-        _check_name(self.name)
+    name: Name | None = None
+    _amounts = ("value",)
 
 
 @dataclass(frozen=True)
-class Traction:
+class Traction(Acting):
     """Traction vector on a boundary.
 
     Parameters
@@ -79,19 +142,15 @@ class Traction:
     (0.0, 1000000.0)
     """
 
-    boundary: str
-    components: tuple[FieldLike, ...]
+    boundary: Name
+    components: Components
     _: KW_ONLY
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("boundary", self.boundary)
-        checks.convert(self, _components, "components")
-        _check_name(self.name)
+    name: Name | None = None
+    _amounts = ("components",)
 
 
 @dataclass(frozen=True)
-class BodyForce:
+class BodyForce(Acting):
     """Force per volume on one body or all.
 
     Parameters
@@ -109,20 +168,15 @@ class BodyForce:
     (0.0, -77008.5)
     """
 
-    components: tuple[FieldLike, ...]
-    body: str | None = None
+    components: Components
+    body: Name | None = None
     _: KW_ONLY
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        checks.convert(self, _components, "components")
-        if self.body is not None:
-            checks.boundary_name("body", self.body)
-        _check_name(self.name)
+    name: Name | None = None
+    _amounts = ("components",)
 
 
 @dataclass(frozen=True)
-class InitialStrain:
+class InitialStrain(Acting):
     r"""Stress-free strain of one body: thermal expansion, the imposed shortening of a bolt.
 
     The stress is :math:`\sigma = C (\varepsilon - \varepsilon_0)`, the load
@@ -144,15 +198,11 @@ class InitialStrain:
     (0.0, -0.001)
     """
 
-    body: str
-    components: tuple[FieldLike, ...]
+    body: Name
+    components: Components
     _: KW_ONLY
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("body", self.body)
-        checks.convert(self, _components, "components")
-        _check_name(self.name)
+    name: Name | None = None
+    _amounts = ("components",)
 
     @classmethod
     def thermal(cls, expansion: FieldLike | Sequence[FieldLike], temperature: FieldLike, *, body: str = "body",
@@ -178,25 +228,12 @@ class InitialStrain:
         alike = callable(expansion) or not isinstance(expansion, Sequence | np.ndarray)
         each = _components("expansion", (expansion,) * 3 if alike else expansion)
         rise = checks.function_or("temperature", temperature)
-        return cls(body, tuple(_Product(one, rise) if callable(one) or callable(rise) else one * rise for one in each),
+        return cls(body, tuple(Product(one, rise) if callable(one) or callable(rise) else one * rise for one in each),
                    name=name)
 
 
-@dataclass(frozen=True)
-class _Product:
-    """Two numbers or functions of position, multiplied."""
-
-    first: FieldLike
-    second: FieldLike
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        first, second = (checks.field(name, value, points) for name, value in (
-            ("expansion", self.first), ("temperature", self.second)))
-        return first * second
-
-
 @dataclass(frozen=True, kw_only=True)
-class Preload:
+class Preload(Acting):
     """The force with which a bolt is tightened.
 
     An initial strain along the axis shortens the body until a cut across it carries the force;
@@ -222,24 +259,12 @@ class Preload:
     20000.0
     """
 
-    body: str = field(kw_only=False)
-    force: float
-    axis: str
-    at: float | None = None
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("body", self.body)
-        checks.convert(self, checks.quantity, "force", positive=True)
-        checks.choice("axis", self.axis, ("x", "y", "z"))
-        if self.at is not None:
-            checks.convert(self, checks.quantity, "at")
-        _check_name(self.name)
-
-    @property
-    def path_name(self) -> str:
-        """The name in load paths."""
-        return self.name or self.body
+    body: Name = field(kw_only=False)
+    force: Size
+    axis: Annotated[str, partial(checks.choice, choices="xyz")]
+    at: Quantity | None = None
+    name: Name | None = None
+    _amounts = ("force",)
 
     @property
     def direction(self) -> int:
@@ -256,66 +281,26 @@ class Preload:
 Load = Pressure | Traction | BodyForce | InitialStrain | Preload
 
 
-class _Holds:
+class _Holds(Acting):
     """What holds bodies: the base class of all supports."""
 
-    boundary: str | None  # None at a point
+    _stiffnesses: ClassVar[tuple[str, ...]] = ()
 
-    @property
-    def place(self) -> str:
-        """The name of the boundary, or the point."""
-        return self.boundary
-
-    def components(self, dim: int) -> tuple[FieldLike | None, ...]:
-        """Return the prescribed components in ``dim`` dimensions."""
-        return (None,) * dim
-
-
-class _Prescribes(_Holds):
-    """What prescribes x, y, z."""
-
-    x: FieldLike | None
-    y: FieldLike | None
-    z: FieldLike | None
-    name: str | None
-
-    def _check(self) -> None:
-        _check_name(self.name)
-        names = [name for name in ("x", "y", "z", "normal") if getattr(self, name, None) is not None]
-        checks.convert(self, checks.function_or, *names)
-        if not names:
-            raise ValueError(f"support on {self.place!r} fixes nothing: give x, y or z a displacement in m")
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names = self._amounts or self._stiffnesses
+        if names and all(getattr(self, name) == getattr(type(self), name) for name in names):
+            raise ValueError(f"the {type(self).__name__} at {self.place!r} holds nothing: give {' or '.join(names)}")
 
     def components(self, dim: int) -> tuple[FieldLike | None, ...]:
         """Return the prescribed components in ``dim`` dimensions."""
-        if dim == 2 and self.z is not None:
-            raise ValueError(f"support on {self.place!r}: z is prescribed in a 2D problem")
-        return (self.x, self.y, self.z)[:dim]
-
-
-class _AtPoint(_Holds):
-    """What holds a node."""
-
-    boundary: ClassVar[None] = None
-    point: tuple[float, ...]
-    body: str | None
-
-    def _check_point(self) -> None:
-        point = check_arrays.vector("point", self.point)
-        if point.size not in (2, 3):
-            raise ValueError(f"point must have 2 or 3 components, got {point.size}")
-        object.__setattr__(self, "point", tuple(point.tolist()))
-        if self.body is not None:
-            checks.boundary_name("body", self.body)
-
-    @property
-    def place(self) -> str:
-        """The point as text."""
-        return f"point ({', '.join(f'{x:.6g}' for x in self.point)})"
+        if dim == 2 and getattr(self, "z", None) != getattr(type(self), "z", None):
+            raise ValueError(f"the {type(self).__name__} at {self.place!r} has a z in a 2D problem")
+        return tuple(getattr(self, name) if name in self._amounts else None for name in "xyz"[:dim])
 
 
 @dataclass(frozen=True)
-class Support(_Prescribes):
+class Support(_Holds):
     """Prescribed displacement components on a boundary; ``None`` leaves a component free.
 
     Parameters
@@ -336,17 +321,14 @@ class Support(_Prescribes):
     >>> roller = am.Support("slope", normal=0)                         # it slides along the slope
     """
 
-    boundary: str
-    x: FieldLike | None = None
-    y: FieldLike | None = None
-    z: FieldLike | None = None
-    normal: FieldLike | None = None
+    boundary: Name
+    x: Value | None = None
+    y: Value | None = None
+    z: Value | None = None
+    normal: Value | None = None
     _: KW_ONLY
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("boundary", self.boundary)
-        self._check()
+    name: Name | None = None
+    _amounts = ("x", "y", "z", "normal")
 
 
 @dataclass(frozen=True)
@@ -364,14 +346,11 @@ class Symmetry(_Holds):
     'left'
     """
 
-    boundary: str
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("boundary", self.boundary)
+    boundary: Name
 
 
 @dataclass(frozen=True)
-class PointSupport(_Prescribes, _AtPoint):
+class PointSupport(_Holds):
     """Prescribed displacement components of the node at a point, against rigid motions.
 
     The stress at a node that carries a load grows without bound as meshes become finer: let it carry none.
@@ -393,17 +372,15 @@ class PointSupport(_Prescribes, _AtPoint):
     0.0
     """
 
-    point: tuple[float, ...]
-    x: FieldLike | None = None
-    y: FieldLike | None = None
-    z: FieldLike | None = None
-    body: str | None = None
+    point: Point
+    x: Value | None = None
+    y: Value | None = None
+    z: Value | None = None
+    body: Name | None = None
     _: KW_ONLY
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        self._check_point()
-        self._check()
+    name: Name | None = None
+    boundary: ClassVar[None] = None
+    _amounts = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -423,18 +400,14 @@ class Spring(_Holds):
     0.0
     """
 
-    boundary: str
-    normal: FieldLike = 0.0
-    tangential: FieldLike = 0.0
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("boundary", self.boundary)
-        checks.convert(self, checks.function_or, "normal", "tangential")
-        _check_stiffness(self, "normal", "tangential")
+    boundary: Name
+    normal: Annotated[FieldLike, partial(checks.function_or, check=_nonnegative)] = 0.0
+    tangential: Annotated[FieldLike, partial(checks.function_or, check=_nonnegative)] = 0.0
+    _stiffnesses = ("normal", "tangential")
 
 
 @dataclass(frozen=True)
-class PointSpring(_AtPoint):
+class PointSpring(_Holds):
     """Springs along the axes between the node at a point and the ground.
 
     Parameters
@@ -452,31 +425,13 @@ class PointSpring(_AtPoint):
     1000000000.0
     """
 
-    point: tuple[float, ...]
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-    body: str | None = None
-
-    def __post_init__(self) -> None:
-        self._check_point()
-        checks.convert(self, checks.quantity, "x", "y", "z")
-        _check_stiffness(self, "x", "y", "z")
-
-    def components(self, dim: int) -> tuple[FieldLike | None, ...]:
-        """Return None for each component: a spring prescribes none."""
-        if dim == 2 and self.z:
-            raise ValueError(f"spring at {self.place}: z has a stiffness in a 2D problem")
-        return (None,) * dim
-
-
-def _check_stiffness(spring: Spring | PointSpring, *names: str) -> None:
-    values = [getattr(spring, name) for name in names]
-    for name, value in zip(names, values, strict=True):
-        if not callable(value) and not value >= 0:
-            raise ValueError(f"{name} must be >= 0, got {value!r}")
-    if not any(values):
-        raise ValueError(f"the spring on {spring.place!r} has no stiffness: give {' or '.join(names)}")
+    point: Point
+    x: Stiffness = 0.0
+    y: Stiffness = 0.0
+    z: Stiffness = 0.0
+    body: Name | None = None
+    boundary: ClassVar[None] = None
+    _stiffnesses = ("x", "y", "z")
 
 
 AnySupport = Support | Symmetry | PointSupport | Spring | PointSpring

@@ -1,25 +1,51 @@
-r"""What a contact boundary may touch: rigid obstacles, or another boundary (ContactPair).
+r"""What a contact boundary may touch: rigid obstacles, at rest or moving, or another boundary; and ties.
 
 The condition at a contact node is :math:`u_n = u \cdot n \le g_0`, with n pointing out of the body.
+
+An obstacle moves by a displacement (Moving), or by the force that it transmits (Rigid): a point x of it by
+:math:`U(x) = d + (R - I)(x - c)`. A plane moves exactly. In front of any other obstacle with the gap g and the normals
+n, to first order in the motion,
+
+.. math:: g(x) \to g(x - U_t) + U \cdot n .
+
+Friction acts on the slip relative to the obstacle, :math:`u_t - U_t`, from step to step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._checks import Flag, Name, Size, Value
 from adaptmg._text import brief
 from adaptmg.problem.laws import Law, check_law
+from adaptmg.problem.loads import Acting, point
+
+Numbers = Annotated[Sequence[float], lambda name, value: tuple(check_arrays.vector(name, value).tolist())]
+OwnLaw = Annotated[Law, check_law]
+
+
+class Obstacle(Protocol):
+    """What a contact boundary may touch."""
+
+    def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return contact normals (n, dim) and gaps (n,), m; see :meth:`adaptmg.Plane.contact`."""
+        ...
+
+
+AnyObstacle = Annotated[Obstacle, partial(checks.offers, method="contact",
+                                          words="a Plane or a GapFunction, or offer contact()")]
 
 
 @dataclass(frozen=True, eq=False)
-class Plane:
+class Plane(checks.Checked):
     """A rigid plane.
 
     The contact normal of every node is minus the normal of the plane, so the linearised condition is exact however
@@ -39,7 +65,7 @@ class Plane:
     [0.0, 0.0, 1.0]
     """
 
-    point: np.ndarray
+    point: Annotated[np.ndarray, point]
     normal: np.ndarray
 
     __repr__ = brief
@@ -47,11 +73,8 @@ class Plane:
         def __init__(self, point: ArrayLike, normal: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
-        point = check_arrays.vector("point", self.point)
-        if point.size not in (2, 3):
-            raise ValueError(f"point must have 2 or 3 components, got {point.size}")
-        object.__setattr__(self, "point", point)
-        checks.convert(self, check_arrays.direction, "normal", n=point.size)
+        super().__post_init__()
+        checks.convert(self, check_arrays.direction, "normal", n=self.dim)
 
     @property
     def dim(self) -> int:
@@ -73,7 +96,7 @@ class Plane:
 
 
 @dataclass(frozen=True, eq=False)
-class GapFunction:
+class GapFunction(checks.Checked):
     """Any obstacle given by the gap in front of the contact boundary.
 
     Parameters
@@ -88,18 +111,252 @@ class GapFunction:
     [0.0005]
     """
 
-    function: Callable[[np.ndarray], np.ndarray]
-
-    def __post_init__(self) -> None:
-        checks.offers("function", self.function, "__call__", "a function of points (n, dim) that returns gaps (n,)")
+    function: Annotated[Callable[[np.ndarray], np.ndarray], partial(
+        checks.offers, method="__call__", words="a function of points (n, dim) that returns gaps (n,)")]
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the outward normals and the gaps at boundary points; see :meth:`Plane.contact`."""
         return normals.copy(), checks.field("gap", self.function, points)
 
 
+class _MovingPart(Acting):
+    """What Moving and Rigid share."""
+
+    obstacle: Obstacle
+    about: np.ndarray | None
+    dim: int
+
+    def _check_place(self, what: str) -> None:
+        """Check what both share; ``what`` has a component for each direction."""
+        if isinstance(self.obstacle, Rigid):
+            raise TypeError("obstacle must not be Rigid: write Rigid(Moving(...), ...)")
+        inner = self.obstacle
+        place = inner.point if isinstance(inner, Plane) else getattr(inner, "about", np.zeros(self.dim))
+        if len(place) != self.dim:
+            raise ValueError(f"{what} must have {len(place)} components, as the obstacle, got {self.dim}")
+        about = place if self.about is None else self.about
+        object.__setattr__(self, "about", check_arrays.vector("about", about, self.dim))
+
+
 @dataclass(frozen=True, eq=False)
-class Tied:
+class Moving(_MovingPart):
+    """An obstacle with a prescribed motion.
+
+    In a load path its factor multiplies displacement and rotation; without one the whole motion acts.
+
+    Parameters
+    ----------
+    obstacle : Plane, GapFunction or Moving
+        What moves; a user-defined one offers ``contact``.
+    displacement : (dim,) sequence of float
+        m; in axisymmetric problems along y, without rotation.
+    rotation : float or (3,) sequence of float
+        rad; counter-clockwise in the plane, in space along the axis (3,). Obstacles that are not planes turn to first
+        order: keep it small.
+    about : (dim,) sequence of float, optional
+        The point that only ``displacement`` moves, m. Default: the point of a Plane, else the origin.
+    name : str
+        In load paths.
+
+    Examples
+    --------
+    >>> punch = am.Moving(am.Plane((0, 0), (0, 1)), displacement=(1e-3, 2e-3), name="punch")
+    >>> normals, gaps = punch.contact(np.array([[0.5, 0.0]]), np.array([[0.0, -1.0]]))
+    >>> gaps.tolist()                                                 # m: the plane has risen
+    [-0.002]
+    """
+
+    obstacle: AnyObstacle
+    _: KW_ONLY
+    displacement: Annotated[np.ndarray, point]
+    rotation: np.ndarray | float = 0.0
+    about: np.ndarray | None = None
+    name: Name = "obstacle"
+    _amounts = ("displacement", "rotation")
+
+    __repr__ = brief
+    if TYPE_CHECKING:
+        def __init__(self, obstacle: Obstacle, *, displacement: ArrayLike, rotation: ArrayLike = 0.0,
+                     about: ArrayLike | None = None, name: str = "obstacle") -> None: ...
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        turn, dim = self.rotation, self.dim
+        if np.ndim(turn) == 0:
+            turn = (turn,) if dim == 2 or turn != 0 else np.zeros(3)
+        object.__setattr__(self, "rotation", check_arrays.vector("rotation", turn, 2 * dim - 3))
+        self._check_place("displacement")
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return self.displacement.size
+
+    def motion(self, points: np.ndarray) -> np.ndarray:
+        """Return how points (n, dim) of the obstacle move (n, dim), m."""
+        arms = points - self.about
+        inner = self.obstacle.motion(points) if isinstance(self.obstacle, Moving) else 0.0
+        return self.displacement + arms @ (self._turn() - np.eye(self.dim)).T + inner
+
+    def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return contact normals and gaps after the motion; see :meth:`Plane.contact`."""
+        whole = self._plane()
+        if whole is not None:
+            return whole.contact(points, normals)
+        motion = self.motion(points)
+        along = np.einsum("nd,nd->n", motion, normals)
+        fixed = self.obstacle
+        while isinstance(fixed, Moving):
+            fixed = fixed.obstacle
+        directions, gaps = fixed.contact(points - motion + along[:, None] * normals, normals)
+        return directions, gaps + np.einsum("nd,nd->n", motion, directions)
+
+    def _plane(self) -> Plane | None:
+        """The plane after the motion, if it is one."""
+        inner = self.obstacle._plane() if isinstance(self.obstacle, Moving) else self.obstacle
+        if not isinstance(inner, Plane):
+            return None
+        turn = self._turn()
+        return Plane(self.about + self.displacement + turn @ (inner.point - self.about), turn @ inner.normal)
+
+    def _turn(self) -> np.ndarray:
+        if not self.rotation.any():
+            return np.eye(self.dim)
+        if self.dim == 2:
+            c, s = np.cos(self.rotation[0]), np.sin(self.rotation[0])
+            return np.array([[c, -s], [s, c]])
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_rotvec(self.rotation.copy()).as_matrix()
+
+
+def _targets(name: str, values: object) -> tuple[float | None, ...]:
+    return tuple(None if value is None else checks.quantity(f"{name}[{i}]", value)
+                 for i, value in enumerate(checks.listed(name, values, "numbers or None, one a component")))
+
+
+@dataclass(frozen=True, eq=False)
+class Rigid(_MovingPart):
+    """A rigid obstacle that moves until it transmits a force and a moment.
+
+    :func:`adaptmg.solve_path` finds its motion by Broyden's method on these few numbers, with a contact problem for
+    each trial; ``Result.motions`` has the motion. Cycles, work and seconds of the result are those of all trials, its
+    history that of the one it is from. In a load path the factor multiplies force and moment.
+
+    Parameters
+    ----------
+    obstacle : Plane, GapFunction or Moving
+        Its shape and first place. With a Moving one press and slide: the force finds what its motion leaves open.
+    force : (dim,) sequence of float or None
+        What it exerts on the body, N (plane: N/m; axisymmetric: of the whole circumference); None: it does not move in
+        this direction.
+    moment : float, or (3,) sequence of float or None, optional
+        About ``about``, N m (plane: N); None, the default: it does not turn.
+    about, name
+        See :class:`Moving`.
+
+    Examples
+    --------
+    >>> punch = am.Rigid(am.Plane((0, 1), (0, -1)), force=(None, -1e5), moment=0.0, name="punch")
+    >>> punch.free
+    (1, 2)
+    """
+
+    obstacle: AnyObstacle
+    _: KW_ONLY
+    force: Annotated[tuple[float | None, ...], _targets]
+    moment: tuple[float | None, ...] | float | None = None
+    about: np.ndarray | None = None
+    name: Name = "obstacle"
+    _amounts = ("force", "moment")
+
+    __repr__ = brief
+    if TYPE_CHECKING:
+        def __init__(self, obstacle: Obstacle, *, force: tuple[float | None, ...],
+                     moment: tuple[float | None, ...] | float | None = None, about: ArrayLike | None = None,
+                     name: str = "obstacle") -> None: ...
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        turns = 2 * self.dim - 3
+        moment = self.moment if isinstance(self.moment, tuple | list) else (self.moment,) * turns
+        object.__setattr__(self, "moment", _targets("moment", moment))
+        if self.dim not in (2, 3) or len(self.moment) != turns:
+            raise ValueError(f"force must have 2 or 3 components, moment 1 or 3, got {self.dim} and {len(self.moment)}")
+        if not self.free:
+            raise ValueError("force and moment are None: use the obstacle itself, or Moving")
+        if not any(self.force):
+            raise ValueError("force must have a component other than zero: nothing would press the obstacle")
+        self._check_place("force")
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return len(self.force)
+
+    @property
+    def targets(self) -> np.ndarray:
+        """Force and moment (n,), NaN where the motion is prescribed."""
+        return np.array([*self.force, *self.moment], dtype=np.float64)
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The numbers of the components of force and moment that are prescribed."""
+        return tuple(np.flatnonzero(~np.isnan(self.targets)).tolist())
+
+    def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return contact normals and gaps in the first place; see :meth:`Plane.contact`."""
+        return self.obstacle.contact(points, normals)
+
+    def placed(self, motion: np.ndarray) -> Moving:
+        """Return the obstacle after displacement and rotation (n,), m and rad."""
+        return Moving(self.obstacle, displacement=motion[:self.dim], rotation=motion[self.dim:], about=self.about,
+                      name=self.name)
+
+
+def moving_parts(obstacle: Obstacle) -> list[Moving | Rigid]:
+    """Return an obstacle and what it wraps, as far as it moves."""
+    result: list[Moving | Rigid] = []
+    while isinstance(obstacle, Moving | Rigid):
+        result.append(obstacle)
+        obstacle = obstacle.obstacle
+    return result
+
+
+def placed(obstacle: Obstacle, factors: Mapping[str, float], motions: Mapping[str, ArrayLike] | None) -> Obstacle:
+    """Return an obstacle whose Moving parts have made ``factors`` of their motions (1 where not named), and whose Rigid
+    one has made that of ``motions`` (none where not named); without ``motions`` it has the factor of its force."""
+    if isinstance(obstacle, Rigid):
+        inner = replace(obstacle, obstacle=placed(obstacle.obstacle, factors, motions))
+        if motions is None:
+            return inner.scaled(factors.get(obstacle.name, 1.0))
+        return inner.placed(np.asarray(motions.get(obstacle.name, np.zeros(3 * obstacle.dim - 3))))
+    if isinstance(obstacle, Moving):
+        inner = placed(obstacle.obstacle, factors, motions)
+        return replace(obstacle.scaled(factors.get(obstacle.name, 1.0)), obstacle=inner)
+    return obstacle
+
+
+class _Sides(checks.Checked):
+    """Two different boundaries."""
+
+    slave: Name
+    master: Name
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.slave == self.master:
+            raise ValueError(f"slave and master are both {self.slave!r}: name two different boundaries; where a "
+                             "surface may touch itself, cut it into two boundaries")
+
+    @property
+    def boundary(self) -> str:
+        """The boundary whose nodes follow the other one, or touch it: the slave."""
+        return self.slave
+
+
+@dataclass(frozen=True, eq=False)
+class Tied(_Sides):
     """Two boundaries, of two bodies or of one, that move together: glued, welded, screwed.
 
     Their meshes need not match. Surfaces that lie on each other pass constant stresses exactly.
@@ -119,19 +376,14 @@ class Tied:
     'bolt.thread'
     """
 
-    slave: str
-    master: str
+    slave: Name
+    master: Name
     _: KW_ONLY
-    reach: float | None = None
-
-    def __post_init__(self) -> None:
-        _check_two_sides(self.slave, self.master)
-        if self.reach is not None:
-            checks.convert(self, checks.quantity, "reach", positive=True)
+    reach: Size | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Periodic:
+class Periodic(_Sides, Acting):
     """Two opposite sides of a periodic cell: what happens on one happens on the other, up to a jump.
 
     Each node of a side must have a partner on the other one, the same distance away: structured meshes have.
@@ -150,30 +402,16 @@ class Periodic:
     >>> shear = [am.Periodic("left", "right", jump=(0, 1e-3)), am.Periodic("bottom", "top", jump=(1e-3, 0))]
     """
 
-    master: str
-    slave: str
+    master: Name
+    slave: Name
     _: KW_ONLY
-    jump: Sequence[float] | None = None
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        _check_two_sides(self.slave, self.master)
-        if self.jump is not None:
-            object.__setattr__(self, "jump", tuple(check_arrays.vector("jump", self.jump).tolist()))
-        if self.name is not None:
-            checks.boundary_name("name", self.name)
-
-
-def _check_two_sides(slave: str, master: str) -> None:
-    checks.boundary_name("slave", slave)
-    checks.boundary_name("master", master)
-    if slave == master:
-        raise ValueError(f"slave and master are both {slave!r}: name two different boundaries; where a surface may "
-                         "touch itself, cut it into two boundaries")
+    jump: Numbers | None = None
+    name: Name | None = None
+    _amounts = ("jump",)
 
 
 @dataclass(frozen=True, eq=False)
-class ContactPair:
+class ContactPair(_Sides):
     """Two boundaries, of two bodies or of one, that may touch each other.
 
     Parameters
@@ -207,31 +445,17 @@ class ContactPair:
     'lower.top'
     """
 
-    slave: str
-    master: str
+    slave: Name
+    master: Name
     _: KW_ONLY
-    sides: str = "given"
-    coupling: str = "mortar"
-    allow_interference: bool = False
-    reach: float | None = None
-    gap: float | Callable[[np.ndarray], np.ndarray] | None = None
-    law: Law | None = None
+    sides: Annotated[str, partial(checks.choice, choices=("given", "auto"))] = "given"
+    coupling: Annotated[str, partial(checks.choice, choices=("mortar", "nodes"))] = "mortar"
+    allow_interference: Flag = False
+    reach: Size | None = None
+    gap: Value | None = None
+    law: OwnLaw | None = None
 
     def __post_init__(self) -> None:
-        check_law(self.law, none=True)
-        _check_two_sides(self.slave, self.master)
-        checks.choice("sides", self.sides, ("given", "auto"))
-        checks.choice("coupling", self.coupling, ("mortar", "nodes"))
-        checks.flag("allow_interference", self.allow_interference)
-        if self.reach is not None:
-            checks.convert(self, checks.quantity, "reach", positive=True)
-        if self.gap is not None:
-            checks.convert(self, checks.function_or, "gap")
-            if not callable(self.gap) and self.gap < 0 and not self.allow_interference:
-                raise ValueError(f"gap must be >= 0, got {self.gap!r}; for an interference fit set "
-                                 "allow_interference=True")
-
-    @property
-    def boundary(self) -> str:
-        """The boundary with the contact nodes: the slave."""
-        return self.slave
+        super().__post_init__()
+        if self.gap is not None and not callable(self.gap) and self.gap < 0 and not self.allow_interference:
+            raise ValueError(f"gap must be >= 0, got {self.gap!r}; for an interference fit set allow_interference=True")

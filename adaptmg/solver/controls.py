@@ -23,7 +23,7 @@ from adaptmg.discrete.cut import cut_force, cut_stiffness
 from adaptmg.level import Level
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.loads import Preload
-from adaptmg.problem.moving import Moving, Rigid, moving_parts, placed
+from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
 from adaptmg.solver.record import Status
 from adaptmg.solver.result import Result
 

@@ -100,10 +100,10 @@ def test_a_body_moved_along_the_obstacle_is_solved():
 
 
 test_refused = refused(
-    (lambda: am.Spring("foot"), "has no stiffness: give normal or tangential"),
+    (lambda: am.Spring("foot"), "holds nothing: give normal or tangential"),
     (lambda: am.Spring("foot", normal=-1.0), "normal must be >= 0"),
     (lambda: am.PointSpring((0, 0), x=np.nan), "x must be"),
-    (lambda: am.PointSupport((0, 0)), r"'point \(0, 0\)' fixes nothing"),
+    (lambda: am.PointSupport((0, 0)), r"'point \(0, 0\)' holds nothing"),
     (lambda: am.PointSupport((0,), x=0.0), "2 or 3 components"),
     (lambda: replace(on_springs(am.Solid), supports=[am.PointSupport((0, 0), x=0.0)]), "2 components in a 3D problem"),
     (lambda: replace(on_springs(am.PlaneStress), supports=[am.Spring("foot", normal=1.0)]),

@@ -167,12 +167,12 @@ class TestData:
                 am.solve_path(rough, am.LoadPath({name: [1, 2]}))
         loads = am.Pressure("part", 1.0), am.InitialStrain("part", (1e-5, 0.0)), am.BodyForce((0.0, 1.0), name="weight")
         part = replace(am.cases.greco_bar(), domain=None, loads=loads)
-        with pytest.raises(ValueError, match=r"'part', where a Pressure and a InitialStrain act.*known are 'weight'"):
+        with pytest.raises(ValueError, match=r"'part', where a Pressure and a InitialStrain act: give each a name="):
             am.LoadPath({"part": 1.0}).resolved(part)
         assert set(am.LoadPath({"weight": [1, 2]}, default=[3, 4]).resolved(part)) == {"part", "weight"}
         # a name of one load that is the place of another
         for one in (am.Traction("top", (1.0, 0.0)), am.BodyForce((0.0, 1.0), name="top")):
-            with pytest.raises(ValueError, match=r"'top', where a Pressure and a .* act: give each .*their names$"):
+            with pytest.raises(ValueError, match=r"'top', where a Pressure and a .* act: give each"):
                 am.LoadPath({"top": [1, 2]}).resolved(replace(part, loads=(am.Pressure("top", 1.0), one)))
 
     @pytest.mark.parametrize("dim", [2, 3])

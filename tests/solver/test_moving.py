@@ -134,7 +134,7 @@ def test_a_preload_is_carried_by_cut_heads_and_joint(joint):
     placed = grids.with_problem(step_problem(grids.problem, dict.fromkeys(FILLED, 0.0), first.motions))
     assert am.Residual().indicate(placed, first).total > 0  # its loads are those of the step
     hot = am.InitialStrain("bolt", (0.0, 1e-4))
-    with pytest.raises(ValueError, match="'bolt' is the name of a preload and of another load"):
+    with pytest.raises(ValueError, match="'bolt' is the name of a Preload and of another load"):
         am.solve(grids.with_problem(replace(grids.problem, loads=(bolt, hot))))
 
 
