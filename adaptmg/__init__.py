@@ -57,8 +57,9 @@ def _naming_arguments(kind: Any) -> None:
             if error.__traceback__ is not None and error.__traceback__.tb_next is None:  # not from within the call
                 import inspect
 
-                taken = str(inspect.signature(kind)).replace("'", "").removesuffix(" -> None")
-                error.add_note(f"am.{kind.__name__}{taken}")
+                taken = inspect.signature(kind)
+                names = [one.replace(annotation=one.empty) for one in taken.parameters.values()]
+                error.add_note(f"am.{kind.__name__}{taken.replace(parameters=names, return_annotation=taken.empty)}")
             raise
 
     kind.__init__ = __init__

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import Box, Domain, Outline
-from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
+from adaptmg.problem.solid_domains import SolidDomain, StepFile
 
 #: axis, and lower (0) or upper (1) end of it; the vertical axis of a rectangle is its last one
 BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}

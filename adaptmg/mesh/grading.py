@@ -49,8 +49,9 @@ from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.step import SizeFunction, step_contents, step_mesh, step_shapes
 from adaptmg.mesh.structured import body_centred, boundaries_of, merged, per_body
 from adaptmg.mesh.triangulate import triangulated
+from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import Box, Domain
-from adaptmg.problem.solid_domains import Assembly, SolidDomain, StepFile
+from adaptmg.problem.solid_domains import SolidDomain, StepFile
 
 _LOG = logging.getLogger(__name__)
 

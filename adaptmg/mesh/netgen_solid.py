@@ -43,15 +43,9 @@ from adaptmg.mesh.netgen_plane import (
 from adaptmg.mesh.slits import opened_tables
 from adaptmg.mesh.soundness import check_mesh, least_angle
 from adaptmg.mesh.surfaces import Misplaced, Revolved, candidates, onto_surfaces, surfaces_of
-from adaptmg.problem.cracked import Cracked, normal_of
+from adaptmg.problem.combined_domains import Combination, Cracked, normal_of
 from adaptmg.problem.plane_domains import Box, Domain
-from adaptmg.problem.solid_domains import (
-    Ball,
-    Combination,
-    Cylinder,
-    Moved,
-    SolidDomain,
-)
+from adaptmg.problem.solid_domains import Ball, Cylinder, Moved, SolidDomain
 
 _LOG = logging.getLogger(__name__)
 

@@ -25,20 +25,9 @@ from netgen.geom2d import SplineGeometry
 from netgen.occ import Dir, Face, OCCGeometry, Pnt, Solid, TopoDS_Shape, Vec, X, Y, Z
 
 from adaptmg._machine import limit_memory
-from adaptmg.problem.cracked import Cracked
+from adaptmg.problem.combined_domains import Combination, Common, Cracked, Cut
 from adaptmg.problem.plane_domains import Box, Outline
-from adaptmg.problem.solid_domains import (
-    Ball,
-    Combination,
-    Common,
-    Cut,
-    Cylinder,
-    Extrusion,
-    Moved,
-    Profile,
-    Revolution,
-    SolidDomain,
-)
+from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, SolidDomain
 
 Tables = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]]
 Sizes = Sequence[tuple[np.ndarray, np.ndarray]]
@@ -346,9 +335,8 @@ def _name_ends(shape: TopoDS_Shape, names: tuple[str, str], key: Callable[[Face]
         face.name = name
 
 
-def _profile_face(profile: Profile, place: Callable[[np.ndarray], Pnt]) -> Face:
+def _profile_face(outline: Outline, place: Callable[[np.ndarray], Pnt]) -> Face:
     """A plane face whose edges are named; ``place`` puts points of the profile into space."""
-    outline = profile.outline
     vertices = [np.array(v) for v in outline.vertices]
     edges, middles = [], []
     for i, (a, b) in enumerate(zip(vertices, vertices[1:] + vertices[:1], strict=True)):

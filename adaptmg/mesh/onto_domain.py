@@ -6,7 +6,7 @@ that halve edges of moved nodes follow. The moved mesh is not nested in the mesh
 An arc moves the midpoint of two nodes along its radius, as cylinders and balls do. In a turned profile the midpoint
 keeps its angle about the axis and gets the radius and height of the profile, in an extruded one it keeps its height. Of
 several edges of one name that is taken which both nodes lie on and which faces as the boundary does there. Plane
-domains combined are outlines; combined solids (:class:`~adaptmg.problem.solid_domains.Cut`, ``Fuse``, ``Common``) and
+domains combined are outlines; combined solids (:class:`~adaptmg.problem.Cut`, ``Fuse``, ``Common``) and
 STEP files do not say which surface a face lies on: their midpoints stay on the chord.
 """
 
@@ -22,9 +22,10 @@ from adaptmg.mesh.arrays import MeshArrays, Surface, signed_measures, sound_by_c
 from adaptmg.mesh.bisection import with_refinement
 from adaptmg.mesh.domains import in_edges
 from adaptmg.mesh.soundness import check_mesh
+from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.plane_edges import Arc
-from adaptmg.problem.solid_domains import Assembly, Ball, Cylinder, Extrusion, Moved, Revolution
+from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution
 
 _KEPT_VOLUME = 0.25
 _MAX_TRIES = 10
@@ -151,7 +152,7 @@ def _curved(domain: Domain) -> tuple[str, ...]:
     if isinstance(domain, Ball):
         return ("surface",)
     if isinstance(domain, Extrusion):
-        return _curved(domain.polygon.outline)
+        return _curved(domain.polygon)
     if isinstance(domain, Revolution):
         return tuple(name for name in domain.boundaries if name in domain.polygon.boundaries)
     return ()
@@ -174,7 +175,7 @@ def on_surface(domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals:
         along = (offset @ axis)[:, None] * axis
         return np.array(domain.point) + along + _stretched(offset - along, domain.radius)
     if isinstance(domain, Extrusion):
-        plane = _on_outline(domain.polygon.outline, name, a[:, :2], b[:, :2], normals[:, :2])
+        plane = _on_outline(domain.polygon, name, a[:, :2], b[:, :2], normals[:, :2])
         return np.column_stack([plane, middle[:, 2]])
     return _on_revolution(domain, name, a, b, normals)
 
@@ -202,7 +203,7 @@ def _on_revolution(domain: Revolution, name: str, a: np.ndarray, b: np.ndarray, 
     direction = middle[:, :2] / np.where(off_axis, radius, 1.0)[:, None]
     flat_a, flat_b = (np.column_stack([np.hypot(x[:, 0], x[:, 1]), x[:, 2]]) for x in (a, b))
     outward = np.column_stack([(normals[:, :2] * direction).sum(axis=1), normals[:, 2]])
-    flat = _on_outline(profile.outline, name, flat_a, flat_b, outward)
+    flat = _on_outline(profile, name, flat_a, flat_b, outward)
     result = np.column_stack([flat[:, :1] * direction, flat[:, 1]])
     # faces normal to the axis are plane
     turned = np.hypot(normals[:, 0], normals[:, 1]) > _PLANE * np.linalg.norm(normals, axis=1)

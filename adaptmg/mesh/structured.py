@@ -26,8 +26,8 @@ from adaptmg._text import warn_user
 from adaptmg.mesh.arrays import MOST_NODES, Lattice, MeshArrays, facet_table, normalised, sound_by_construction
 from adaptmg.mesh.domains import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
+from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import Box, Domain, Rectangle
-from adaptmg.problem.solid_domains import Assembly
 
 Divisions = int | Sequence[int]
 #: what making the mesh takes at its peak, measured

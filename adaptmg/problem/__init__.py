@@ -1,7 +1,7 @@
 """Problems: materials, laws, loads, obstacles, pairs and domains as pure data in SI units, without NGSolve."""
 
+from adaptmg.problem.combined_domains import Assembly, Common, Cracked, Cut, Fuse
 from adaptmg.problem.contact_problem import Contact, ContactProblem
-from adaptmg.problem.cracked import Cracked
 from adaptmg.problem.laws import Coulomb, Frictionless, Law, Tresca
 from adaptmg.problem.load_path import LoadPath, step_problem
 from adaptmg.problem.loads import (
@@ -18,18 +18,7 @@ from adaptmg.problem.loads import (
 )
 from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStrain, PlaneStress, Solid
 from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle
-from adaptmg.problem.solid_domains import (
-    Assembly,
-    Ball,
-    Common,
-    Cut,
-    Cylinder,
-    Extrusion,
-    Fuse,
-    Moved,
-    Revolution,
-    StepFile,
-)
+from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Moving, Periodic, Plane, Rigid, Tied
 
 __all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact", "ContactPair",

@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._checks import Name, Size
 from adaptmg._text import brief
 from adaptmg.problem.plane_edges import Arc, Segment, check_simple
 
@@ -24,7 +25,7 @@ _ROUND = 1e-9  # radii at the two ends of an arc may differ by this much of the 
 _CHORD = math.radians(3.0)
 
 
-class Domain:
+class Domain(checks.Checked):
     """A domain that a mesh generator can mesh: the base class of all domains.
 
     Attributes
@@ -64,6 +65,10 @@ def corner(name: str, value: object, dim: int) -> tuple[float, ...]:
     return tuple(map(float, check_arrays.vector(name, value, dim)))
 
 
+Pair = Annotated[tuple[float, float], partial(corner, dim=2)]
+Triple = Annotated[tuple[float, float, float], partial(corner, dim=3)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rectangle(Domain):
     """An axis-parallel rectangle; boundaries ``bottom``, ``right``, ``top``, ``left``.
@@ -81,29 +86,20 @@ class Rectangle(Domain):
     ('bottom', 'right', 'top', 'left')
     """
 
-    width: float
-    height: float
-    origin: tuple[float, float] = (0.0, 0.0)
+    width: Size
+    height: Size
+    origin: Pair = (0.0, 0.0)
     dim: ClassVar[int] = 2
     boundaries: ClassVar[tuple[str, ...]] = ("bottom", "right", "top", "left")
-
-    def __post_init__(self) -> None:
-        checks.convert(self, checks.quantity, "width", "height", positive=True)
-        checks.convert(self, corner, "origin", dim=2)
 
     def _extremes(self) -> np.ndarray:
         return np.array([[0.0, 0.0], [self.width, self.height]]) + self.origin
 
     @cached_property
-    def polygon(self) -> Polygon:
-        """The same as a polygon."""
-        (x0, y0), (x1, y1) = self.lower, self.upper
-        return Polygon(vertices=((x0, y0), (x1, y0), (x1, y1), (x0, y1)), boundaries=self.boundaries)
-
-    @property
     def outline(self) -> Outline:
         """The same as an outline."""
-        return self.polygon.outline
+        (x0, y0), (x1, y1) = self.lower, self.upper
+        return Outline(vertices=((x0, y0), (x1, y0), (x1, y1), (x0, y1)), boundaries=self.boundaries)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,86 +119,34 @@ class Box(Domain):
     ('bottom', 'right', 'top', 'left', 'front', 'back')
     """
 
-    width: float
-    depth: float
-    height: float
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    width: Size
+    depth: Size
+    height: Size
+    origin: Triple = (0.0, 0.0, 0.0)
     dim: ClassVar[int] = 3
     boundaries: ClassVar[tuple[str, ...]] = ("bottom", "right", "top", "left", "front", "back")
-
-    def __post_init__(self) -> None:
-        checks.convert(self, checks.quantity, "width", "depth", "height", positive=True)
-        checks.convert(self, corner, "origin", dim=3)
 
     def _extremes(self) -> np.ndarray:
         return np.array([[0.0, 0.0, 0.0], [self.width, self.depth, self.height]]) + self.origin
 
 
-def _check_edges(domain: Polygon | Outline, least: int) -> None:
-    """Check and convert the vertices of a polygon or outline, at least ``least``, and the names of its edges."""
-    points = check_arrays.array("vertices", domain.vertices, (None, 2))
-    if len(points) < least:
-        raise ValueError(f"vertices must be at least {least} pairs of numbers, got {checks.shown(domain.vertices)}")
+def _vertices(name: str, value: object) -> tuple[tuple[float, float], ...]:
+    points = check_arrays.array(name, value, (None, 2))
+    if len(points) < 2:
+        raise ValueError(f"{name} must be at least 2 pairs of numbers, got {checks.shown(value)}")
     if not (np.abs(points) <= checks.VAST).all():
-        raise ValueError(f"vertices must be at most {checks.VAST:g} m, got {checks.shown(domain.vertices)}")
-    checks.convert(domain, checks.strings, "boundaries")
-    if len(domain.boundaries) != len(points):
-        raise ValueError(f"boundaries must name each of the {len(points)} edges, got {len(domain.boundaries)} names")
-    object.__setattr__(domain, "vertices", tuple(map(tuple, points.tolist())))
+        raise ValueError(f"{name} must be at most {checks.VAST:g} m, got {checks.shown(value)}")
+    return tuple(map(tuple, points.tolist()))
 
 
-def _area(vertices: tuple[tuple[float, float], ...], bulges: float = 0.0, hole: bool = False) -> float:
-    """The signed area of a polygon whose edges bulge outwards by ``bulges``, m^2; negative for a hole."""
-    x, y = (np.array(vertices) - vertices[0]).T
-    area = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) + bulges
-    if hole and not area < 0:
-        raise ValueError(f"vertices of a hole must run clockwise around it, got a signed area of {area}")
-    if not hole and not area > 0:
-        raise ValueError(f"vertices must run counter-clockwise around a positive area, got a signed area of {area}")
-    return area
+def _arcs(name: str, value: Mapping[int, tuple[float, float]]) -> dict[int, tuple[float, float]]:
+    arcs = {checks.integer("the edge number in arcs", i): corner(f"arcs[{i}]", centre, 2)
+            for i, centre in checks.mapping(name, value, "edge numbers to centres").items()}
+    return dict(sorted(arcs.items()))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Polygon(Domain):
-    """A simple polygon.
-
-    Parameters
-    ----------
-    vertices : sequence of pairs of float
-        Corners in counter-clockwise order, m.
-    boundaries : sequence of str
-        ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
-
-    Examples
-    --------
-    >>> wedge = am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "slope", "left"))
-    >>> wedge.boundaries
-    ('bottom', 'slope', 'left')
-    """
-
-    vertices: tuple[tuple[float, float], ...]
-    boundaries: tuple[str, ...]
-    dim: ClassVar[int] = 2
-
-    __repr__ = brief
-
-    def __post_init__(self) -> None:
-        _check_edges(self, 3)
-        _area(self.vertices)
-        _ = self.outline
-
-    @cached_property
-    def outline(self) -> Outline:
-        """The same as an outline."""
-        return Outline(vertices=self.vertices, boundaries=self.boundaries)
-
-    @property
-    def polygon(self) -> Polygon:
-        """Itself: every plane domain offers its polygon."""
-        return self
-
-    def _extremes(self) -> np.ndarray:
-        return np.array(self.vertices)
+def _holes(name: str, value: object) -> tuple[int, ...]:
+    return tuple(checks.integer(name, i) for i in checks.listed(name, value, "vertex numbers"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,8 +157,10 @@ class Outline(Domain):
 
     Parameters
     ----------
-    vertices, boundaries
-        As of a :class:`Polygon`.
+    vertices : sequence of pairs of float
+        Corners in counter-clockwise order, m.
+    boundaries : sequence of str
+        ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
     arcs : mapping of int to pair of float
         Edge i is the shorter arc about the centre ``arcs[i]``, m: less than 180 degrees, both vertices at the same
         distance from the centre. A full circle takes three edges or more. Other edges are straight.
@@ -229,37 +175,50 @@ class Outline(Domain):
     ('bottom', 'arc', 'left')
     """
 
-    vertices: tuple[tuple[float, float], ...]
-    boundaries: tuple[str, ...]
-    arcs: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    holes: tuple[int, ...] = ()
+    vertices: Annotated[tuple[tuple[float, float], ...], _vertices]
+    boundaries: Annotated[tuple[str, ...], checks.strings]
+    arcs: Annotated[Mapping[int, tuple[float, float]], _arcs] = field(default_factory=dict)
+    holes: Annotated[tuple[int, ...], _holes] = ()
     dim: ClassVar[int] = 2
     twins: ClassVar[Mapping[int, int]] = {}  # of cracks, see Slit
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        _check_edges(self, 2)
-        arcs = {checks.integer("the edge number in arcs", i): corner(f"arcs[{i}]", center, 2)
-                for i, center in checks.mapping("arcs", self.arcs, "edge numbers to centres").items()}
-        object.__setattr__(self, "arcs", dict(sorted(arcs.items())))
-        holes = tuple(checks.integer("holes", i) for i in checks.listed("holes", self.holes, "vertex numbers"))
-        object.__setattr__(self, "holes", holes)
-        ends = (0, *holes, len(self.vertices))
-        if holes and min(b - a for a, b in pairwise(ends)) < 2:
+        super().__post_init__()
+        n, ends = len(self.vertices), self._loops()
+        if len(self.boundaries) != n:
+            raise ValueError(f"boundaries must name each of the {n} edges, got {len(self.boundaries)} names")
+        if self.holes and min(b - a for a, b in ends) < 2:
             raise ValueError("holes must be ascending vertex numbers, two or more apart, from 2 to "
-                             f"{len(self.vertices) - 2}, got {holes}")
-        for i in arcs:
-            if i >= len(self.vertices):
-                raise ValueError(f"arcs names edge {i}, but there are {len(self.vertices)} edges, counted from 0")
+                             f"{n - 2}, got {self.holes}")
+        if self.arcs and max(self.arcs) >= n:
+            raise ValueError(f"arcs names edge {max(self.arcs)}, but there are {n} edges, counted from 0")
+        for i in self.arcs:
             self._check_arc(i)
-        _ = self.area
-        check_simple(list(map(self.edge, range(len(self.vertices)))), self.boundaries, np.arange(len(self.vertices)),
-                     self.following)
-        for first, last in pairwise((*holes, len(self.vertices)) if holes else ()):
-            if self.winding(self.vertices[first], np.r_[0:first, last:len(self.vertices)]) != 1:
+        for (first, _), area in zip(ends, self._areas(), strict=True):
+            if not (area < 0 if first else area > 0):
+                way = "of a hole must run clockwise around it" if first else (
+                    "must run counter-clockwise around a positive area")
+                raise ValueError(f"vertices {way}, got a signed area of {area}")
+        check_simple(list(map(self.edge, range(n))), self.boundaries, np.arange(n), self.following)
+        for first, last in ends[1:]:
+            if self.winding(self.vertices[first], np.r_[0:first, last:n]) != 1:
                 raise ValueError(f"holes: the hole from vertex {first} on lies outside the outer edge, or in another "
                                  "hole")
+
+    def _loops(self) -> list[tuple[int, int]]:
+        """The vertices from a to before b of the outer edge, and of each hole."""
+        return list(pairwise((0, *self.holes, len(self.vertices))))
+
+    def _areas(self) -> list[float]:
+        """The signed areas of these, m^2; negative for a hole."""
+        result = []
+        for first, last in self._loops():
+            x, y = (np.array(self.vertices[first:last]) - self.vertices[first]).T
+            bulges = sum(self.arc(i).bulge for i in self.arcs if first <= i < last)
+            result.append(0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) + bulges)
+        return result
 
     def __hash__(self) -> int:
         return hash((self.vertices, self.boundaries, tuple(self.arcs.items()), self.holes))
@@ -281,7 +240,7 @@ class Outline(Domain):
     def following(self) -> np.ndarray:
         """For each vertex (n,) the next one around the outer edge, or around its hole."""
         result = np.arange(1, len(self.vertices) + 1)
-        for first, last in pairwise((0, *self.holes, len(self.vertices))):
+        for first, last in self._loops():
             result[last - 1] = first
         return result
 
@@ -316,44 +275,27 @@ class Outline(Domain):
     @property
     def area(self) -> float:
         """Exact area, m^2."""
-        return sum(_area(self.vertices[a:b], sum(self.arc(i).bulge for i in self.arcs if a <= i < b), hole=a > 0)
-                   for a, b in pairwise((0, *self.holes, len(self.vertices))))
+        return sum(self._areas())
 
     @property
     def lengths(self) -> tuple[float, ...]:
         """Length of each edge, m."""
-        return tuple(math.dist(*self._ends(i)) if i not in self.arcs else self.arc(i).length
-                     for i in range(len(self.vertices)))
+        return tuple(self.edge(i).length for i in range(len(self.vertices)))
 
     def chords(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return points (n, 2), m, in order, arcs cut every 3 degrees; for each its edge, and the next one's number."""
-        points, edges = [], []
-        for i, vertex in enumerate(self.vertices):
-            n = 1
-            points.append(np.array([vertex]))
-            if i in self.arcs:
-                arc = self.arc(i)
-                n = max(1, math.ceil(abs(arc.angle) / _CHORD))
-                points.append(arc.at(np.arange(1, n) / n))
-            edges.append(np.full(n, i))
-        edge = np.concatenate(edges)
-        first = np.searchsorted(edge, [0, *self.holes])
-        following = np.arange(1, len(edge) + 1)
-        following[np.append(first[1:], len(edge)) - 1] = first
-        return np.concatenate(points), edge, following
+        edges = [self.edge(i) for i in range(len(self.vertices))]
+        counts = np.array([math.ceil(abs(one.angle) / _CHORD) if isinstance(one, Arc) else 1 for one in edges])
+        points = np.concatenate([one.at(np.arange(n) / n) for one, n in zip(edges, counts.tolist(), strict=True)])
+        last = np.cumsum(counts) - 1
+        following = np.arange(1, len(points) + 1)
+        following[last] = (last - counts + 1)[self.following]
+        return points, np.repeat(np.arange(len(edges)), counts), following
 
     @property
     def outline(self) -> Outline:
         """Itself: every plane domain offers its outline."""
         return self
-
-    @property
-    def polygon(self) -> Polygon:
-        """The outer edge with arcs replaced by chords of at most 3 degrees."""
-        points, edges, _ = self.chords()
-        outer = edges < (self.holes[0] if self.holes else len(self.vertices))
-        return Polygon(vertices=tuple(map(tuple, points[outer].tolist())),
-                       boundaries=tuple(self.boundaries[i] for i in edges[outer]))
 
     def _extremes(self) -> np.ndarray:
         points = [np.array(self.vertices)]
@@ -362,6 +304,29 @@ class Outline(Domain):
             fractions = (0.5 * math.pi * np.arange(-6, 7) - arc.start) / arc.angle
             points.append(arc.at(fractions[(fractions > 0) & (fractions < 1)]))
         return np.concatenate(points)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polygon(Outline):
+    """A simple polygon.
+
+    Parameters
+    ----------
+    vertices, boundaries
+        As of an :class:`Outline`.
+
+    Examples
+    --------
+    >>> wedge = am.Polygon(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "slope", "left"))
+    >>> wedge.boundaries
+    ('bottom', 'slope', 'left')
+    """
+
+    arcs: Mapping[int, tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
+    holes: tuple[int, ...] = field(default=(), init=False, repr=False)
+
+    __repr__ = brief
+    __hash__ = Outline.__hash__
 
 
 @dataclass(frozen=True)
@@ -384,15 +349,10 @@ class Circle(Domain):
     ('bottom', 'right', 'top', 'left', 'hole')
     """
 
-    centre: tuple[float, float]
-    radius: float
-    boundary: str = "circle"
+    centre: Pair
+    radius: Size
+    boundary: Name = "circle"
     dim: ClassVar[int] = 2
-
-    def __post_init__(self) -> None:
-        checks.convert(self, corner, "centre", dim=2)
-        checks.convert(self, checks.quantity, "radius", positive=True)
-        checks.boundary_name("boundary", self.boundary)
 
     @property
     def boundaries(self) -> tuple[str, ...]:

@@ -30,6 +30,11 @@ class Segment:
     start: np.ndarray  # (2,), m
     end: np.ndarray
 
+    @property
+    def length(self) -> float:
+        """m."""
+        return math.dist(self.start, self.end)
+
     def at(self, fractions: np.ndarray) -> np.ndarray:
         """Return the points (n, 2), m, at fractions (n,) of the length."""
         return self.start + np.asarray(fractions, dtype=np.float64)[..., None] * (self.end - self.start)

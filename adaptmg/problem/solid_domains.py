@@ -1,52 +1,50 @@
-"""Solids, assemblies of several bodies and STEP files as data. Lengths in m, angles in degrees.
+"""Solids and STEP files as data. Lengths in m, angles in degrees.
 
-A solid knows its boundaries by name and its bounding box; only the mesh layer builds its geometry. When solids are
-combined, the names of faces survive: several faces may share one, and a name without a face is an error only where it
-is used. Plane domains combined are an :class:`~adaptmg.problem.Outline` as soon as they are made.
+A solid knows its boundaries by name and its bounding box; only the mesh layer builds its geometry.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
+from adaptmg._checks import Quantity, Size
 from adaptmg._text import brief
-from adaptmg.problem.plane_boolean import combined
-from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle, corner
+from adaptmg.problem.plane_domains import Box, Domain, Outline, Triple
 
-Triple = tuple[float, float, float]
-Profile = Polygon | Outline | Rectangle
 _ON_AXIS = 1e-12  # relative to the profile: vertices nearer to the axis of revolution lie on it
 _PROFILE = "a Polygon, an Outline, a Rectangle, a Circle, or a combination of these"
-_SOLID = "a Box or another solid (Cylinder, Ball, Revolution, Cut, ...)"
-_PLANE = (Rectangle, Polygon, Outline, Circle)
+SOLID = "a Box or another solid (Cylinder, Ball, Revolution, Cut, ...)"
 
 
 class SolidDomain(Domain):
-    """One body in space (of plane domains combined: in the plane): the base class of the solids of this module."""
+    """One body in space (of plane domains combined: in the plane): the base class of solids and combinations."""
 
     dim: ClassVar[int] = 3
 
 
-def _direction(name: str, value: object) -> Triple:
+def _direction(name: str, value: object) -> tuple[float, ...]:
     return tuple(map(float, check_arrays.direction(name, value, 3)))
 
 
-def _profile(name: str, value: object) -> Profile:
-    if isinstance(value, Circle | Combination) and value.dim == 2:
-        value = value.outline
-    profile = checks.instance(name, value, (Polygon, Outline, Rectangle), _PROFILE)
-    if isinstance(profile, Outline) and profile.holes:
-        raise ValueError("polygon has holes: make the solid of its outer edge, and Cut those of its holes from it")
-    return profile
+def _profile(name: str, value: Domain) -> Outline:
+    if not isinstance(value, Domain) or value.dim != 2 or not hasattr(value, "outline"):
+        raise TypeError(f"{name} must be {_PROFILE}, got {checks.described(value)}")
+    if value.outline.holes:
+        raise ValueError(f"{name} has holes: make the solid of its outer edge, and Cut those of its holes from it")
+    return value.outline
+
+
+Direction = Annotated[tuple[float, float, float], _direction]
+Profile = Annotated[Outline, _profile]
 
 
 @dataclass(frozen=True)
@@ -69,15 +67,10 @@ class Cylinder(SolidDomain):
     """
 
     point: Triple
-    axis: Triple
-    radius: float
-    height: float
+    axis: Direction
+    radius: Size
+    height: Size
     boundaries: ClassVar[tuple[str, ...]] = ("side", "bottom", "top")
-
-    def __post_init__(self) -> None:
-        checks.convert(self, corner, "point", dim=3)
-        checks.convert(self, _direction, "axis")
-        checks.convert(self, checks.quantity, "radius", "height", positive=True)
 
     def _extremes(self) -> np.ndarray:
         ends = np.array(self.point) + np.outer([0.0, self.height], self.axis)
@@ -103,12 +96,8 @@ class Ball(SolidDomain):
     """
 
     centre: Triple
-    radius: float
+    radius: Size
     boundaries: ClassVar[tuple[str, ...]] = ("surface",)
-
-    def __post_init__(self) -> None:
-        checks.convert(self, corner, "centre", dim=3)
-        checks.convert(self, checks.quantity, "radius", positive=True)
 
     def _extremes(self) -> np.ndarray:
         return np.array([[-self.radius], [self.radius]]) + self.centre
@@ -135,16 +124,15 @@ class Revolution(SolidDomain):
     """
 
     polygon: Profile
-    angle: float = 360.0
+    angle: Annotated[float, checks.positive] = 360.0
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        checks.convert(self, _profile, "polygon")
-        checks.convert(self, checks.positive, "angle")
+        super().__post_init__()
         if not self.angle <= 360:
             raise ValueError(f"angle must be at most 360 degrees, got {self.angle!r}")
-        r = np.array(self.polygon.outline.vertices)[:, 0]
+        r = np.array(self.polygon.vertices)[:, 0]
         if not self.polygon.lower[0] >= -_ON_AXIS * r.max():
             raise ValueError(f"polygon must lie in the half plane r >= 0, it reaches to r = {self.polygon.lower[0]:g}")
         on_axis = r <= _ON_AXIS * r.max()
@@ -158,10 +146,9 @@ class Revolution(SolidDomain):
     @property
     def boundaries(self) -> tuple[str, ...]:
         """Distinct names, in the order of the edges."""
-        outline = self.polygon.outline
-        r = np.array(outline.vertices)[:, 0]
+        r = np.array(self.polygon.vertices)[:, 0]
         swept = (r > _ON_AXIS * r.max()) | (np.roll(r, -1) > _ON_AXIS * r.max())
-        names = [name for name, face in zip(outline.boundaries, swept, strict=True) if face]
+        names = np.array(self.polygon.boundaries)[swept].tolist()
         return tuple(dict.fromkeys(names)) + (("start", "end") if self.angle < 360 else ())
 
     def _extremes(self) -> np.ndarray:
@@ -193,15 +180,13 @@ class Extrusion(SolidDomain):
     """
 
     polygon: Profile
-    height: float
-    base: float = 0.0
+    height: Size
+    base: Quantity = 0.0
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        checks.convert(self, _profile, "polygon")
-        checks.convert(self, checks.quantity, "height", positive=True)
-        checks.convert(self, checks.quantity, "base")
+        super().__post_init__()
         if {"bottom", "top"} & set(self.polygon.boundaries):
             raise ValueError("the edges of polygon must not be called 'bottom' or 'top': these are the end planes")
 
@@ -235,21 +220,18 @@ class Moved(SolidDomain):
     (0.0, 0.0, 0.1)
     """
 
-    solid: SolidDomain | Box
+    solid: Annotated[SolidDomain | Box, partial(checks.instance, types=(SolidDomain, Box), words=SOLID)]
     offset: Triple = (0.0, 0.0, 0.0)
-    angle: float = 0.0
-    axis: Triple = (0.0, 0.0, 1.0)
+    angle: Quantity = 0.0
+    axis: Direction = (0.0, 0.0, 1.0)
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        checks.instance("solid", self.solid, (SolidDomain, Box), _SOLID)
+        super().__post_init__()
         if self.solid.dim != 3 or hasattr(self.solid, "cracks"):
             what = "plane" if self.solid.dim != 3 else "cracked"
-            raise ValueError(f"solid must be {_SOLID}, got a {what} {type(self.solid).__name__}")
-        checks.convert(self, corner, "offset", dim=3)
-        checks.convert(self, checks.quantity, "angle")
-        checks.convert(self, _direction, "axis")
+            raise ValueError(f"solid must be {SOLID}, got a {what} {type(self.solid).__name__}")
 
     @property
     def boundaries(self) -> tuple[str, ...]:
@@ -266,181 +248,13 @@ class Moved(SolidDomain):
         return turned + np.array(self.offset)
 
 
-@dataclass(frozen=True)
-class Combination(SolidDomain):
-    """Two solids, or two plane domains, combined: the base class of :class:`Cut`, :class:`Fuse` and :class:`Common`.
-
-    Boundaries keep their names; where both parts have one of the same name, it becomes one boundary unless ``rename``
-    tells them apart.
-
-    Parameters
-    ----------
-    a, b : Box, Cylinder, ..., or Rectangle, Polygon, Outline, Circle; or a combination of these
-        Both in space or both plane. The result must be one piece; a plane one may have holes.
-    rename : mapping of str to str
-        New names: "side" of both parts, "b.side" of b alone.
-    """
-
-    a: Domain
-    b: Domain
-    rename: Mapping[str, str] = field(default_factory=dict, hash=False)
-
-    __repr__ = brief
-
-    def __post_init__(self) -> None:
-        for name, part in (("a", self.a), ("b", self.b)):
-            checks.instance(name, part, (SolidDomain, Box, *_PLANE),
-                            f"{_SOLID}, or a plane domain (Rectangle, Polygon, Outline, Circle, Cut, ...)")
-        if cracked := [name for name in "ab" if hasattr(getattr(self, name), "cracks")]:
-            raise ValueError(f"{cracked[0]} is cracked: combine the bodies first, and crack the result")
-        if self.a.dim != self.b.dim:
-            raise ValueError(f"a is {self.a.dim}D, b {self.b.dim}D: combine two solids or two plane domains")
-        checks.convert(self, checks.mapping, "rename", words="names to names")
-        known = [key for part, solid in (("a", self.a), ("b", self.b)) for name in solid.boundaries
-                 for key in (name, f"{part}.{name}")]
-        for old, new in self.rename.items():
-            checks.choice("the keys of rename", old, dict.fromkeys(known))
-            checks.boundary_name(f"rename[{old!r}]", new)
-        if self.dim == 2:
-            _ = self.outline
-
-    @property
-    def dim(self) -> int:
-        """Space dimension of both."""
-        return self.a.dim
-
-    @cached_property
-    def outline(self) -> Outline:
-        """Of plane domains: the edges of the result, holes included."""
-        if self.dim != 2:
-            raise ValueError(f"outline: only plane domains have one, a and b of this {type(self).__name__} are solids")
-        parts = []
-        for part, domain in (("a", self.a), ("b", self.b)):
-            names = tuple(self.renamed(part, name) for name in domain.outline.boundaries)
-            parts.append(replace(domain.outline, boundaries=names))
-        return combined(type(self).__name__, *parts)
-
-    def renamed(self, part: str, name: str) -> str:
-        """Return the name in the result of the boundary ``name`` of ``part``, "a" or "b"."""
-        return self.rename.get(f"{part}.{name}", self.rename.get(name, name))
-
-    @property
-    def boundaries(self) -> tuple[str, ...]:
-        """Distinct names: those of a, then those of b; of some of them no face of a solid may be left."""
-        if self.dim == 2:
-            return tuple(dict.fromkeys(self.outline.boundaries))
-        both = ((part, name) for part in "ab" for name in getattr(self, part).boundaries)
-        return tuple(dict.fromkeys(self.renamed(*one) for one in both))
-
-
-class Cut(Combination):
-    """``a`` without what it shares with ``b``. Parameters as of :class:`Combination`.
-
-    Examples
-    --------
-    >>> plate = am.Cut(am.Rectangle(width=0.2, height=0.1), am.Circle((0.1, 0.05), 0.02, "hole"))
-    >>> am.Cut(plate, am.Rectangle(width=0.02, height=0.03), rename={"b.right": "notch", "b.top": "notch"}).boundaries
-    ('bottom', 'right', 'top', 'left', 'notch', 'hole')
-    >>> drilled = am.Cut(am.Box(width=1, depth=1, height=1), am.Cylinder((0.5, 0.5, 0), (0, 0, 1), 0.2, 1.0))
-    >>> drilled.a.width
-    1.0
-    """
-
-    def _extremes(self) -> np.ndarray:
-        return np.stack([self.a.lower, self.a.upper])
-
-
-class Fuse(Combination):
-    """``a`` and ``b`` as one body. Parameters as of :class:`Combination`.
-
-    Examples
-    --------
-    >>> both = am.Fuse(am.Box(width=1, depth=1, height=1), am.Ball((0.5, 0.5, 1.0), 0.3))
-    >>> both.b.radius
-    0.3
-    """
-
-    def _extremes(self) -> np.ndarray:
-        return np.stack([self.a.lower, self.b.lower, self.a.upper, self.b.upper])
-
-
-class Common(Combination):
-    """The intersection of ``a`` and ``b``. Parameters as of :class:`Combination`.
-
-    Examples
-    --------
-    >>> lens = am.Common(am.Ball((0, 0, 0), 1.0), am.Ball((0, 0, 1.5), 1.0))
-    >>> lens.b.centre[2]
-    1.5
-    """
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        lower, upper = self._extremes()
-        if not (lower < upper).all():
-            raise ValueError(f"{self.a!r} and {self.b!r} have nothing in common: their bounding boxes do not overlap")
-
-    def _extremes(self) -> np.ndarray:
-        return np.stack([np.maximum(self.a.lower, self.b.lower), np.minimum(self.a.upper, self.b.upper)])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Assembly(Domain):
-    """Bodies that share no nodes; they may touch, or even overlap (a ring of bolts in an axisymmetric model does).
-
-    Parameters
-    ----------
-    parts : mapping of str to Domain
-        The geometry of each body by its name, without "."; all of the same dimension.
-
-    Examples
-    --------
-    >>> from adaptmg.problem import Rectangle
-    >>> Assembly(parts={"upper": Rectangle(width=1.0, height=1.0)}).boundaries
-    ('upper.bottom', 'upper.right', 'upper.top', 'upper.left')
-    """
-
-    parts: Mapping[str, Domain]
-
-    __repr__ = brief
-
-    def __post_init__(self) -> None:
-        checks.convert(self, checks.mapping, "parts", words="body names to domains")
-        parts = self.parts
-        if not parts:
-            raise ValueError("parts is empty: an assembly needs at least one body")
-        for name, part in parts.items():
-            checks.boundary_name("the name of a body in parts", name)
-            if "." in name:
-                raise ValueError(f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'")
-            checks.instance(f"parts[{name!r}]", part, Domain, "a Domain (Rectangle, Polygon, Outline, Box, ...)")
-            if part.bodies is None or len(part.bodies) != 1 or part.boundaries is None or isinstance(part, Assembly):
-                raise ValueError(f"parts[{name!r}] must be one body with known boundaries; name the bodies of "
-                                 f"{type(part).__name__} one by one")
-        dims = {name: part.dim for name, part in parts.items()}
-        if len(set(dims.values())) > 1:
-            raise ValueError(f"all parts must have the same dimension, got {dims}")
-
-    def __hash__(self) -> int:
-        return hash(tuple(self.parts.items()))
-
-    @property
-    def dim(self) -> int:
-        """Space dimension."""
-        return next(iter(self.parts.values())).dim
-
-    @property
-    def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies, in order."""
-        return tuple(self.parts)
-
-    @property
-    def boundaries(self) -> tuple[str, ...]:
-        """The distinct boundary names "body.edge", body by body."""
-        return tuple(dict.fromkeys(f"{body}.{edge}" for body, part in self.parts.items() for edge in part.boundaries))
-
-    def _extremes(self) -> np.ndarray:
-        return np.stack([corner for part in self.parts.values() for corner in (part.lower, part.upper)])
+def _names(name: str, value: Mapping[str, str]) -> dict[str, str]:
+    result = checks.mapping(name, value, "names to names")
+    for old, new in result.items():
+        checks.boundary_name(f"the keys of {name}", old)
+        if "." in checks.boundary_name(f"{name}[{old!r}]", new):
+            raise ValueError(f"{name}[{old!r}] must not contain '.', got {new!r}: boundaries are 'solid.face'")
+    return result
 
 
 @dataclass(frozen=True)
@@ -472,21 +286,10 @@ class StepFile(Domain):
     0.001
     """
 
-    path: str | Path
-    unit: float = 1e-3
-    names: Mapping[str, str] = field(default_factory=dict, hash=False)
-    solids: tuple[str, ...] | None = None
+    path: Annotated[str | Path, checks.file_path]
+    unit: Size = 1e-3
+    names: Annotated[Mapping[str, str], _names] = field(default_factory=dict, hash=False)
+    solids: Annotated[tuple[str, ...], checks.strings] | None = None
     dim: ClassVar[int] = 3
     boundaries: ClassVar[None] = None
     bodies: ClassVar[None] = None
-
-    def __post_init__(self) -> None:
-        checks.convert(self, checks.file_path, "path")
-        checks.convert(self, checks.quantity, "unit", positive=True)
-        checks.convert(self, checks.mapping, "names", words="names to names")
-        if self.solids is not None:
-            checks.convert(self, checks.strings, "solids")
-        for old, new in self.names.items():
-            checks.boundary_name("the keys of names", old)
-            if "." in checks.boundary_name(f"names[{old!r}]", new):
-                raise ValueError(f"names[{old!r}] must not contain '.', got {new!r}: boundaries are 'solid.face'")

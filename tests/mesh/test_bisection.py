@@ -14,7 +14,8 @@ from adaptmg.mesh.arrays import Refinement
 from adaptmg.mesh.bisection import refined, with_refinement
 from adaptmg.mesh.onto_domain import curved_boundaries
 from adaptmg.problem import Assembly, Box, Outline, Polygon, Rectangle
-from adaptmg.problem.solid_domains import Ball, Common, Cut, Cylinder, Extrusion, Moved, Revolution
+from adaptmg.problem.combined_domains import Common, Cut
+from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution
 from adaptmg.solver import store
 
 

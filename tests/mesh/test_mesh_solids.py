@@ -17,7 +17,8 @@ from adaptmg.mesh.netgen_solid import built_shape, check_volume, solid_mesh
 from adaptmg.mesh.soundness import check_overlap
 from adaptmg.mesh.surfaces import surface_through
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
-from adaptmg.problem.solid_domains import Ball, Common, Cut, Cylinder, Extrusion, Fuse, Moved, Revolution, StepFile
+from adaptmg.problem.combined_domains import Common, Cut, Fuse
+from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 
 PROFILE = Polygon(vertices=((0.04, 0), (0.1, 0), (0.1, 0.02), (0.06, 0.025), (0.05, 0.08), (0.04, 0.08)),
                   boundaries=("gasket", "rim", "back", "neck", "weld", "bore"))

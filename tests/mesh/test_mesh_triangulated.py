@@ -65,7 +65,7 @@ def test_meshes_are_sound_and_delaunay(domain, size):
     for name in dict.fromkeys(outline.boundaries):
         away = grading.distance_to_boundaries(outline, [name], mesh.points[mesh.boundary_nodes(name)])
         assert away.max() < 2e-15
-    for vertex in getattr(outline, "vertices", SQUARE.polygon.vertices if domain is SQUARE else ()):
+    for vertex in getattr(outline, "vertices", SQUARE.outline.vertices if domain is SQUARE else ()):
         assert (mesh.points == vertex).all(axis=1).sum() == 1
     if domain in (SQUARE, DOMAINS["angle"], DOMAINS["two holes"]):
         assert quality(mesh).min_angle > 28

@@ -1,0 +1,476 @@
+"""Bodies made of others: differences, unions and intersections, bodies with cracks, and assemblies.
+
+When solids are combined, the names of faces survive: several faces may share one, and a name without a face is an error
+only where it is used. Plane domains combined are an :class:`~adaptmg.problem.Outline` as soon as they are made: edges
+are cut where those of the other outline meet them, and a piece stays by the side of the other outline that it lies on:
+outside of it in a union, inside in an intersection; in a difference pieces of b inside of a stay, turned round. Where
+pieces of both coincide, one stays if the bodies lie on the same side of it (in a difference: on either side).
+
+A crack has two faces: a path of straight edges in the plane, a plane polygon in space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import chain, pairwise
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adaptmg import _check_arrays as check_arrays
+from adaptmg import _checks as checks
+from adaptmg._text import brief
+from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle, with_vertex
+from adaptmg.problem.plane_edges import Arc, Segment, check_simple, meetings
+from adaptmg.problem.solid_domains import SOLID, SolidDomain
+
+Path = tuple[tuple[float, ...], ...]
+Part = Annotated[Domain, partial(checks.instance, types=(SolidDomain, Box, Rectangle, Outline, Circle), words=(
+    f"{SOLID}, or a plane domain (Rectangle, Polygon, Outline, Circle, Cut, ...)"))]
+# of the extent: ends of cracks this near to a vertex or an edge lie on it; points nearer to each other are one
+_NEAR, _ROUND = 1e-9, 1e-12
+
+
+@dataclass(frozen=True)
+class Combination(SolidDomain):
+    """Two solids, or two plane domains, combined: the base class of :class:`Cut`, :class:`Fuse` and :class:`Common`.
+
+    Boundaries keep their names; where both parts have one of the same name, it becomes one boundary unless ``rename``
+    tells them apart.
+
+    Parameters
+    ----------
+    a, b : Box, Cylinder, ..., or Rectangle, Polygon, Outline, Circle; or a combination of these
+        Both in space or both plane. The result must be one piece; a plane one may have holes.
+    rename : mapping of str to str
+        New names: "side" of both parts, "b.side" of b alone.
+    """
+
+    a: Part
+    b: Part
+    rename: Annotated[Mapping[str, str], partial(checks.mapping, words="names to names")] = field(
+        default_factory=dict, hash=False)
+
+    __repr__ = brief
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if cracked := [name for name in "ab" if isinstance(getattr(self, name), Cracked)]:
+            raise ValueError(f"{cracked[0]} is cracked: combine the bodies first, and crack the result")
+        if self.a.dim != self.b.dim:
+            raise ValueError(f"a is {self.a.dim}D, b {self.b.dim}D: combine two solids or two plane domains")
+        known = [key for part in "ab" for name in getattr(self, part).boundaries for key in (name, f"{part}.{name}")]
+        for old, new in self.rename.items():
+            checks.choice("the keys of rename", old, dict.fromkeys(known))
+            checks.boundary_name(f"rename[{old!r}]", new)
+        if self.dim == 2:
+            _ = self.outline
+
+    @property
+    def dim(self) -> int:
+        """Space dimension of both."""
+        return self.a.dim
+
+    @cached_property
+    def outline(self) -> Outline:
+        """Of plane domains: the edges of the result, holes included."""
+        if self.dim != 2:
+            raise ValueError(f"outline: only plane domains have one, a and b of this {type(self).__name__} are solids")
+        parts = []
+        for part, domain in (("a", self.a), ("b", self.b)):
+            names = tuple(self.renamed(part, name) for name in domain.outline.boundaries)
+            parts.append(replace(domain.outline, boundaries=names))
+        return combined(type(self).__name__, *parts)
+
+    def renamed(self, part: str, name: str) -> str:
+        """Return the name in the result of the boundary ``name`` of ``part``, "a" or "b"."""
+        return self.rename.get(f"{part}.{name}", self.rename.get(name, name))
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Distinct names: those of a, then those of b; of some of them no face of a solid may be left."""
+        if self.dim == 2:
+            return tuple(dict.fromkeys(self.outline.boundaries))
+        both = ((part, name) for part in "ab" for name in getattr(self, part).boundaries)
+        return tuple(dict.fromkeys(self.renamed(*one) for one in both))
+
+
+class Cut(Combination):
+    """``a`` without what it shares with ``b``. Parameters as of :class:`Combination`.
+
+    Examples
+    --------
+    >>> plate = am.Cut(am.Rectangle(width=0.2, height=0.1), am.Circle((0.1, 0.05), 0.02, "hole"))
+    >>> am.Cut(plate, am.Rectangle(width=0.02, height=0.03), rename={"b.right": "notch", "b.top": "notch"}).boundaries
+    ('bottom', 'right', 'top', 'left', 'notch', 'hole')
+    >>> drilled = am.Cut(am.Box(width=1, depth=1, height=1), am.Cylinder((0.5, 0.5, 0), (0, 0, 1), 0.2, 1.0))
+    >>> drilled.a.width
+    1.0
+    """
+
+    def _extremes(self) -> np.ndarray:
+        return np.stack([self.a.lower, self.a.upper])
+
+
+class Fuse(Combination):
+    """``a`` and ``b`` as one body. Parameters as of :class:`Combination`.
+
+    Examples
+    --------
+    >>> both = am.Fuse(am.Box(width=1, depth=1, height=1), am.Ball((0.5, 0.5, 1.0), 0.3))
+    >>> both.b.radius
+    0.3
+    """
+
+    def _extremes(self) -> np.ndarray:
+        return np.stack([self.a.lower, self.b.lower, self.a.upper, self.b.upper])
+
+
+class Common(Combination):
+    """The intersection of ``a`` and ``b``. Parameters as of :class:`Combination`.
+
+    Examples
+    --------
+    >>> lens = am.Common(am.Ball((0, 0, 0), 1.0), am.Ball((0, 0, 1.5), 1.0))
+    >>> lens.b.centre[2]
+    1.5
+    """
+
+    def _extremes(self) -> np.ndarray:
+        return np.stack([np.maximum(self.a.lower, self.b.lower), np.minimum(self.a.upper, self.b.upper)])
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A part of an edge between two numbered points."""
+
+    start: int
+    end: int
+    name: str
+    centre: tuple[float, float] | None
+    middle: np.ndarray
+
+    @property
+    def turned(self) -> _Piece:
+        return _Piece(self.end, self.start, self.name, self.centre, self.middle)
+
+
+def combined(what: str, a: Outline, b: Outline) -> Outline:
+    """Return the outline of "Cut", "Fuse" or "Common" of two outlines; ValueError unless it is one piece."""
+    tol = _ROUND * float(max(np.ptp(outline.vertices, axis=0).max() for outline in (a, b)))
+    points: list[np.ndarray] = []
+    edges = [[outline.edge(i) for i in range(len(outline.vertices))] for outline in (a, b)]
+    met = [[meetings(e, f, tol) for f in edges[1]] for e in edges[0]]
+    of_a = _pieces(a, edges[0], [list(chain(*row)) for row in met], points, tol)
+    of_b = _pieces(b, edges[1], [list(chain(*column)) for column in zip(*met, strict=True)], points, tol)
+    kept = []
+    for piece in of_a:
+        twins = [other for other in of_b if {piece.start, piece.end} == {other.start, other.end}
+                 and np.linalg.norm(piece.middle - other.middle) <= 10 * tol]
+        if twins:
+            if (twins[0].start == piece.start) != (what == "Cut"):
+                kept.append(piece)
+        elif (b.winding(piece.middle) == 1) == (what == "Common"):
+            kept.append(piece)
+        of_b = [other for other in of_b if other not in twins]
+    for piece in of_b:
+        if (a.winding(piece.middle) == 1) == (what != "Fuse"):
+            kept.append(piece.turned if what == "Cut" else piece)
+    return _chained(what, kept, points)
+
+
+def _pieces(outline: Outline, edges: list[Segment | Arc], cuts: list[list[np.ndarray]], points: list[np.ndarray],
+            tol: float) -> list[_Piece]:
+    """The edges of an outline cut at points, which are numbered in ``points``."""
+    def number(p: np.ndarray) -> int:
+        for k, other in enumerate(points):
+            if np.abs(p - other).max() <= 4 * tol:
+                return k
+        points.append(p)
+        return len(points) - 1
+
+    result = []
+    for i, (edge, here) in enumerate(zip(edges, cuts, strict=True)):
+        ends = [np.array(outline.vertices[k]) for k in (i, outline.following[i])]
+        inner = sorted(here, key=edge.along)
+        numbers = list(dict.fromkeys(map(number, (ends[0], *inner))))
+        last = number(ends[1])
+        numbers = [k for k in numbers if k != last] + [last]
+        centre = outline.arcs.get(i)
+        for start, end in pairwise(numbers):
+            middle = 0.5 * (points[start] + points[end])
+            if centre is not None:
+                off = middle - np.array(centre)
+                middle = np.array(centre) + off * (edge.radius / np.linalg.norm(off))
+            result.append(_Piece(start, end, outline.boundaries[i], centre, middle))
+    return result
+
+
+def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outline:
+    """The outline that pieces make, its outer edge first."""
+    leaving: dict[int, _Piece] = {}
+    for piece in pieces:
+        if piece.start in leaving:
+            raise ValueError(f"the edges of the {what} touch each other at the point "
+                             f"{tuple(points[piece.start].tolist())}: move or resize one part a little")
+        leaving[piece.start] = piece
+    loops = []
+    while leaving:
+        loop = [leaving.pop(next(iter(leaving)))]
+        while loop[-1].end in leaving:
+            loop.append(leaving.pop(loop[-1].end))
+        loops.append(loop)
+    areas = [_loop_area(loop, points) for loop in loops]
+    outer = [k for k, area in enumerate(areas) if area > 0]
+    if len(outer) != 1:
+        raise ValueError(f"the {what} leaves {f'{len(outer)} pieces' if outer else 'nothing'}; a body must be one "
+                         "piece: pose several as an Assembly")
+    loops.insert(0, loops.pop(outer[0]))
+    starts = np.cumsum([0, *map(len, loops)])
+    every = list(chain(*loops))
+    return Outline(vertices=tuple(tuple(points[piece.start].tolist()) for piece in every),
+                   boundaries=tuple(piece.name for piece in every), holes=tuple(starts[1:-1].tolist()),
+                   arcs={k: piece.centre for k, piece in enumerate(every) if piece.centre is not None})
+
+
+def _loop_area(loop: list[_Piece], points: list[np.ndarray]) -> float:
+    x, y = np.array([p for piece in loop for p in (points[piece.start], piece.middle)]).T
+    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+@dataclass(frozen=True)
+class Slit(Outline):
+    """An outline whose last holes have no width: along the left face of each crack, and back along the right one."""
+
+    twins: Mapping[int, int] | None = None  # edge of a right face -> that of the left one at the same place
+    body: Outline | None = None  # the same without cracks
+
+    __repr__ = brief
+    __hash__ = Outline.__hash__
+
+    def __post_init__(self) -> None:
+        """Nothing: it is made of what has been checked."""
+
+    @property
+    def area(self) -> float:
+        """Exact area, m^2."""
+        return self.body.area
+
+
+@dataclass(frozen=True)
+class Cracked(SolidDomain):
+    """A body with cracks.
+
+    Parameters
+    ----------
+    domain : Rectangle, Polygon, Outline, Circle, or a combination of these; or Box, Cylinder, Cut, ...
+        The body without cracks.
+    cracks : mapping of str to sequence of points
+        The path of each crack by its name, m: straight edges between two or more points inside the body; each end may
+        lie on the boundary, or at a point of another crack. In space a plane polygon. The boundaries "name.left" and
+        "name.right" are its faces, seen along the path; polygons run counter-clockwise as seen from the right. The
+        faces touch where an :class:`~adaptmg.ContactPair` says so.
+
+    Examples
+    --------
+    >>> plate = am.Cracked(am.Rectangle(width=1, height=1), {"crack": ((0.3, 0.3), (0.7, 0.7))})
+    >>> plate.boundaries
+    ('bottom', 'right', 'top', 'left', 'crack.left', 'crack.right')
+    """
+
+    domain: Part
+    cracks: Mapping[str, Path]
+
+    __repr__ = brief
+    if TYPE_CHECKING:
+        def __init__(self, domain: Domain, cracks: Mapping[str, ArrayLike]) -> None: ...
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        body = self.domain
+        if isinstance(body, Cracked):
+            raise TypeError("domain is cracked already; name all its cracks together")
+        paths = {}
+        for name, points in checks.mapping("cracks", self.cracks, "names to paths").items():
+            checks.boundary_name("the names of cracks", name)
+            path = check_arrays.array(f"cracks[{name!r}]", points, (None, body.dim))
+            if len(path) < body.dim:
+                raise ValueError(f"cracks[{name!r}] must be {body.dim} points or more, got {checks.shown(points)}")
+            if body.dim == 3:
+                _check_plane(name, path)
+            paths[name] = tuple(map(tuple, (path + 0.0).tolist()))
+        if not paths:
+            raise ValueError("cracks is empty: name one crack at least")
+        object.__setattr__(self, "cracks", paths)
+        names = [*dict.fromkeys(self.domain.boundaries), *(f"{name}.{side}" for name in paths for side in _SIDES)]
+        if len(set(names)) < len(names):
+            raise ValueError(f"cracks: the faces {', '.join(names[-2 * len(paths):])} must have other names than the "
+                             f"boundaries {', '.join(self.domain.boundaries)}")
+        if body.dim == 2:
+            _ = self.outline
+
+    def __hash__(self) -> int:
+        return hash((self.domain, tuple(self.cracks.items())))
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return self.domain.dim
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Those of the body, then the two faces of each crack."""
+        return (*self.domain.boundaries, *(f"{name}.{side}" for name in self.cracks for side in _SIDES))
+
+    def _extremes(self) -> np.ndarray:
+        return np.stack([self.domain.lower, self.domain.upper])
+
+    @cached_property
+    def outline(self) -> Slit:
+        """Of a plane body its outline, with the cracks as holes without width."""
+        if self.dim != 2:
+            raise ValueError("outline: only plane domains have one")
+        body, paths = self._anchored()
+        _check_cracks(body, paths)
+        vertices, names, holes, twins = list(body.vertices), list(body.boundaries), list(body.holes), {}
+        for name, path in paths.items():
+            n, first = len(path) - 1, len(vertices)
+            holes.append(first)
+            vertices += [*path, *path[-2:0:-1]]
+            names += [f"{name}.left"] * n + [f"{name}.right"] * n
+            twins |= {first + n + j: first + n - 1 - j for j in range(n)}
+        return Slit(vertices=tuple(vertices), boundaries=tuple(names), arcs=body.arcs, holes=tuple(holes), twins=twins,
+                    body=body)
+
+    def _anchored(self) -> tuple[Outline, dict[str, Path]]:
+        """The outline with a vertex where cracks end on it, and the cracks with these ends, or points of others; one of
+        one edge gets a vertex in the middle, so that there is a node that opens."""
+        body, paths = self.domain.outline, {}
+        near = _NEAR * float((self.upper - self.lower).max())
+        for name, path in self.cracks.items():
+            ends = []
+            for end in (path[0], path[-1]):
+                body = with_vertex(body, end, arcs=True)
+                places = [*body.vertices, *(p for other, points in self.cracks.items() if other != name
+                                            for p in paths.get(other, points[1:-1]))]
+                away = np.linalg.norm(np.array(places) - end, axis=1)
+                ends.append(places[int(np.argmin(away))] if away.min() <= near else end)
+            middle = path[1:-1] or (tuple((0.5 * np.add(*ends)).tolist()),)
+            paths[name] = (ends[0], *middle, ends[1])
+        return body, paths
+
+
+_SIDES = ("left", "right")
+
+
+def normal_of(polygon: ArrayLike) -> np.ndarray:
+    """Return twice the area vector (3,) of a plane polygon, pointing to where it runs counter-clockwise."""
+    spokes = np.array(polygon) - polygon[0]
+    return np.cross(spokes[1:-1], spokes[2:]).sum(axis=0)
+
+
+def _check_plane(name: str, path: np.ndarray) -> None:
+    """ValueError unless a path is a plane polygon that does not cross itself."""
+    normal, extent = normal_of(path), float(np.ptp(path, axis=0).max())
+    length = float(np.linalg.norm(normal))
+    if not length > _NEAR * extent**2 or not np.abs((path - path[0]) @ normal).max() <= _NEAR * extent * length:
+        raise ValueError(f"cracks[{name!r}] must be the corners of a plane polygon, got {checks.shown(path.tolist())}")
+    first = (path[1] - path[0]) / np.linalg.norm(path[1] - path[0])
+    axes = np.stack([first, np.cross(normal / length, first)])
+    try:
+        Polygon(vertices=(path - path[0]) @ axes.T, boundaries=(name,) * len(path))
+    except ValueError as error:
+        raise ValueError(f"cracks[{name!r}]: {error}") from error
+
+
+def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
+    """ValueError unless cracks lie in the body, meet only at their points, and leave it in one piece."""
+    n = len(body.vertices)
+    number = {p: i for i, p in reversed(list(enumerate(body.vertices)))}
+    starts, ends, names = list(range(n)), body.following.tolist(), list(body.boundaries)
+    # a loop of the boundary is one part; each edge of a crack joins two parts, or encloses a piece
+    part = np.searchsorted(body.holes, np.arange(n), side="right").tolist()
+    for name, path in paths.items():
+        for p, q in pairwise(path):
+            for end in (p, q):
+                if end not in number:
+                    number[end] = len(part)
+                    part.append(len(part) + n)
+            u, v = number[p], number[q]
+            if u == v:
+                raise ValueError(f"cracks[{name!r}] has the point {p} twice in a row")
+            if body.winding(0.5 * np.add(p, q)) != 1:
+                raise ValueError(f"cracks[{name!r}] leaves the body between {p} and {q}")
+            if part[u] == part[v]:
+                raise ValueError(f"cracks[{name!r}] cuts the body in two between {p} and {q}: pose the pieces as an "
+                                 "Assembly")
+            part = [part[u] if k == part[v] else k for k in part]
+            starts.append(u)
+            ends.append(v)
+            names.append(f"{name}.left")
+    places = np.array(list(number))[np.argsort(list(number.values()))]
+    edges = [*map(body.edge, range(n)), *(Segment(places[u], places[v]) for u, v in zip(starts[n:], ends[n:],
+                                                                                        strict=True))]
+    check_simple(edges, names, np.array(starts), np.array(ends), "cracks")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assembly(Domain):
+    """Bodies that share no nodes; they may touch, or even overlap (a ring of bolts in an axisymmetric model does).
+
+    Parameters
+    ----------
+    parts : mapping of str to Domain
+        The geometry of each body by its name, without "."; all of the same dimension.
+
+    Examples
+    --------
+    >>> from adaptmg.problem import Rectangle
+    >>> Assembly(parts={"upper": Rectangle(width=1.0, height=1.0)}).boundaries
+    ('upper.bottom', 'upper.right', 'upper.top', 'upper.left')
+    """
+
+    parts: Annotated[Mapping[str, Domain], partial(checks.mapping, words="body names to domains")]
+
+    __repr__ = brief
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        parts = self.parts
+        if not parts:
+            raise ValueError("parts is empty: an assembly needs at least one body")
+        for name, part in parts.items():
+            checks.boundary_name("the name of a body in parts", name)
+            if "." in name:
+                raise ValueError(f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'")
+            checks.instance(f"parts[{name!r}]", part, Domain, "a Domain (Rectangle, Polygon, Outline, Box, ...)")
+            if part.bodies is None or len(part.bodies) != 1 or part.boundaries is None or isinstance(part, Assembly):
+                raise ValueError(f"parts[{name!r}] must be one body with known boundaries; name the bodies of "
+                                 f"{type(part).__name__} one by one")
+        dims = {name: part.dim for name, part in parts.items()}
+        if len(set(dims.values())) > 1:
+            raise ValueError(f"all parts must have the same dimension, got {dims}")
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.parts.items()))
+
+    @property
+    def dim(self) -> int:
+        """Space dimension."""
+        return next(iter(self.parts.values())).dim
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies, in order."""
+        return tuple(self.parts)
+
+    @property
+    def boundaries(self) -> tuple[str, ...]:
+        """The distinct boundary names "body.edge", body by body."""
+        return tuple(dict.fromkeys(f"{body}.{edge}" for body, part in self.parts.items() for edge in part.boundaries))
+
+    def _extremes(self) -> np.ndarray:
+        return np.stack([corner for part in self.parts.values() for corner in (part.lower, part.upper)])
