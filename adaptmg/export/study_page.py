@@ -200,7 +200,7 @@ def _scale(ax: Axes, name: str, values: pd.Series) -> None:
     axis, single = getattr(ax, f"{name}axis"), np.unique(values)
     if len(single) and single[0] > 0 and single[-1] >= _LOGARITHMIC * single[0]:
         ax.set(**{f"{name}scale": "log"})
-        label_plainly(axis, (1.0, 2.0, 5.0))
+        label_plainly(axis)
     elif name == "x" and 0 < len(single) <= 12 and (single == np.round(single)).all():
         axis.set_ticks(single, [f"{value:g}" for value in single])
 

@@ -2,9 +2,8 @@ r"""contact: pressure, friction, gap and slip along contact lines, maps of them 
 load_history: quantities of a sequence of load steps against the load, and the contact pressure of each step.
 
 Lines are drawn against x or y where they are straight, else against the arc length. A surface is seen along its mean
-normal, or unrolled where that is short and the normals lie in one plane: their common perpendicular is the axis, and
-the circle :math:`x = c + r n` fitted to the points across it in least squares gives its centre; the coordinates are
-angle and length along the axis.
+normal; where that is short, as around a hole, it is unrolled: the direction across all normals is the axis, and the
+coordinates are the angle of the normal and the length along the axis.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
 
-#: length of the mean of the unit normals below which a surface is taken to bend around an axis
+#: length of the mean of the unit normals below which a surface bends around an axis
 _AROUND = 0.5
 
 
@@ -37,8 +36,8 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     r"""Draw pressure, friction, gap and slip on contact boundaries, between two bodies on the slave surface of a pair.
 
     In 2D: contact pressure p, MPa; tangential traction t on the body, MPa, within the band :math:`\pm \mu p` (Tresca:
-    plus or minus the limit) that friction allows; gap and slip, micrometres (mm from 0.1 mm on). Curves and backgrounds
-    have the colours of the states. In 3D: maps of pressure, size of the traction and gap, and the states.
+    plus or minus the limit) that friction allows; gap and slip. Curves and backgrounds have the colours of the
+    states. In 3D: maps of pressure, size of the traction and gap, and the states.
 
     Parameters
     ----------
@@ -84,15 +83,10 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     return figure
 
 
-def _length_unit(*lengths: np.ndarray) -> tuple[float, str]:
-    """Micrometres for small lengths, millimetres for large ones."""
-    return (1e3, "mm") if max(np.abs(values).max() for values in lengths) >= 1e-4 else (1e6, "µm")
-
-
 def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     c, lines = result.contact, lines_of(result, name)
     nodes = np.concatenate([line.index for line in lines])
-    scale, unit = _length_unit(c.gap[nodes], c.slip[nodes])
+    scale, unit = style.scaled(max(1e-6, np.abs(c.gap[nodes]).max(), np.abs(c.slip[nodes]).max()), "m")
     bound, largest = 1e-6 * c.limit / c.weights, 1e-6 * float(c.pressure.max())
     friction = bound[nodes].any()
     for line in lines:
@@ -126,12 +120,12 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
 def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
     c, flat = result.contact, flattened(result, name)
     at, largest = flat.index, 1e-6 * float(c.pressure.max())
-    scale, unit = _length_unit(c.gap[at])
+    scale, unit = style.scaled(max(1e-6, np.abs(c.gap[at]).max()), "m")
     # closed everywhere: a gap of a nanometre is rounding
     for ax, values, label, reference in (
             (axes[0], 1e-6 * c.pressure[at], "contact pressure p [MPa]", largest),
             (axes[1], 1e-6 * np.linalg.norm(c.traction[at], axis=1), "friction traction |t| [MPa]", largest),
-            (axes[2], scale * c.gap[at], f"gap [{unit}]", 1e6 if unit == "µm" else 0.0)):
+            (axes[2], scale * c.gap[at], f"gap [{unit}]", scale)):
         low, high = min(float(values.min()), 0.0), float(values.max())
         if high - low > 1e-9 * reference:
             shown = draw_map(ax, flat, values, Normalize(low, high))
@@ -148,7 +142,7 @@ class Flat:
 
     index: np.ndarray  # (n,) int: into the contact arrays
     points: np.ndarray  # (n, 2): in the units of the labels
-    triangles: np.ndarray | None  # (m, 3) int: numbers within index; None without a mesh
+    triangles: np.ndarray  # (m, 3) int: numbers within index; none without a mesh
     labels: tuple[str, str]  # of the axes
     equal: bool = True  # whether both axes have the same scale (not for an angle and a length)
 
@@ -160,66 +154,38 @@ def flattened(result: Result, boundary: str) -> Flat:
     x, normals = c.x[index], c.normal[index]
     if not np.isfinite(x).all():
         raise ValueError("this result has no coordinates: give the DiscreteProblem its coordinates")
-    triangles = _triangles(result, boundary, index)
-    if np.linalg.norm(normals.mean(axis=0)) < _AROUND and len(index) >= 6:
-        _, strength, axes = np.linalg.svd(normals, full_matrices=False)
-        if strength[2] < 0.05 * strength[0]:
-            points, labels = _unrolled(x, normals, axes[2])
-            if triangles is not None:
-                # triangles across the seam would cover the rest
-                triangles = triangles[np.ptp(points[triangles, 0], axis=1) < 180.0]
-            return Flat(index, points, triangles, labels, equal=False)
-    points, labels = _seen_along(x, normals.mean(axis=0))
-    return Flat(index, points, triangles, labels)
-
-
-def _unrolled(x: np.ndarray, normals: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, tuple[str, str]]:
-    """Angle in degrees and length along an axis, and their labels."""
-    along = int(np.argmax(np.abs(axis)))
-    axis = axis * np.sign(axis[along])
-    frame = _across(axis, (along + 1) % 3)
-    across, direction = x @ frame, normals @ frame
-    # x = c + r n: unknown centre (2) and radius, which is negative where the body lies outside, as around a hole
-    matrix = np.zeros((2 * len(x), 3))
-    matrix[0::2, 0] = matrix[1::2, 1] = 1.0
-    matrix[:, 2] = direction.ravel()
-    centre = np.linalg.lstsq(matrix, across.ravel(), rcond=None)[0][:2]
-    angle = np.degrees(np.arctan2(*(across - centre).T[::-1]))
-    scale, unit = style.scaled(float(np.ptp(x @ axis)), "m")
-    name = "xyz"[along] if axis[along] > 1 - 1e-6 else ""
-    return np.stack([angle, scale * (x @ axis)], axis=1), (
-        f"angle around {name or 'the axis'} [°]", f"{name or 'along the axis'} [{unit}]")
-
-
-def _across(normal: np.ndarray, k: int) -> np.ndarray:
-    """Two orthonormal directions (3, 2) across a unit normal, the first as near as possible to Cartesian axis ``k``."""
-    first = np.eye(3)[k] - normal[k] * normal
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)], axis=1)
-
-
-def _seen_along(x: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, tuple[str, str]]:
-    """Coordinates (n, 2) across the mean normal, and their labels; Cartesian ones for a normal along an axis."""
-    if np.linalg.norm(mean) < 1e-3:
-        mean = np.array([0.0, 0.0, 1.0])
-    across = int(np.argmax(np.abs(mean)))
-    rest = [k for k in range(3) if k != across]
+    triangles = np.zeros((0, 3), dtype=int)
+    if result.mesh_or_none is not None:
+        place = np.full(result.mesh.n_nodes, -1)
+        place[c.node[index]] = np.arange(len(index))
+        triangles = place[result.mesh.boundary_facets(boundary)]
+        triangles = triangles[(triangles >= 0).all(axis=1)]
     scale, unit = style.scaled(float(np.ptp(x, axis=0).max()), "m")
-    if np.abs(mean[rest]).max() <= 1e-6 * abs(mean[across]):
-        return scale * x[:, rest], (f"{'xyz'[rest[0]]} [{unit}]", f"{'xyz'[rest[1]]} [{unit}]")
-    frame = _across(mean / np.linalg.norm(mean), rest[0])
-    return scale * (x - x.mean(axis=0)) @ frame, (f"along t1 [{unit}]", f"along t2 [{unit}]")
+    mean = normals.mean(axis=0)
+    if np.linalg.norm(mean) < _AROUND:
+        # around the direction that is across all normals
+        axis = np.linalg.svd(normals, full_matrices=False)[2][2]
+        frame, names = _frame(axis * np.sign(axis[np.argmax(np.abs(axis))]))
+        angle = np.degrees(np.arctan2(*(normals @ frame[:, :2]).T[::-1]))
+        # triangles across the seam would cover the rest
+        triangles = triangles[np.ptp(angle[triangles], axis=1) < 180.0]
+        return Flat(index, np.stack([angle, scale * x @ frame[:, 2]], axis=1), triangles,
+                    (f"angle of the normal around {names[2]} [°]", f"{names[2]} [{unit}]"), equal=False)
+    frame, names = _frame(mean / np.linalg.norm(mean))
+    return Flat(index, scale * x @ frame[:, :2], triangles, (f"{names[0]} [{unit}]", f"{names[1]} [{unit}]"))
 
 
-def _triangles(result: Result, boundary: str, index: np.ndarray) -> np.ndarray | None:
-    """Facets of the boundary whose corners are all contact nodes, numbered within ``index``; None without any."""
-    if result.mesh_or_none is None:
-        return None
-    place = np.full(result.mesh.n_nodes, -1)
-    place[result.contact.node[index]] = np.arange(len(index))
-    triangles = place[result.mesh.boundary_facets(boundary)]
-    triangles = triangles[(triangles >= 0).all(axis=1)]
-    return triangles if len(triangles) else None
+def _frame(normal: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Two directions across a unit normal, near Cartesian axes, and the normal (3, 3), and the names of all three."""
+    order = np.argsort(np.abs(normal), kind="stable")
+    near = np.sort(order[:2])
+    first = np.eye(3)[near[0]] - normal[near[0]] * normal
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    frame = np.stack([first, second * np.sign(second[near[1]]), normal], axis=1)
+    names = ["xyz"[k] if abs(frame[k, j]) > 1 - 1e-6 else other
+             for j, (k, other) in enumerate(zip((*near, order[2]), ("t1", "t2", "the axis"), strict=True))]
+    return frame, names
 
 
 @dataclass(frozen=True)
@@ -233,50 +199,55 @@ class Line:
 
 def lines_of(result: Result, boundary: str) -> list[Line]:
     """Return the connected parts of a contact boundary; parts without contact nodes separate them."""
-    index = np.flatnonzero(result.contact.boundary == result.contact.names.index(boundary))
-    x = result.contact.x[index]
-    if not np.isfinite(x).all():
+    c, mesh = result.contact, result.mesh_or_none
+    index = np.flatnonzero(c.boundary == c.names.index(boundary))
+    if not np.isfinite(c.x[index]).all():
         return [Line(index, np.arange(len(index), dtype=float), "contact node")]
-    extent = np.ptp(x, axis=0)
-    factor, unit = style.scaled(float(extent.max()), "m")
-    parts, label = _parts(result, boundary, index)
-    for axis, name in enumerate(style.axis_names(result)):
-        if extent[1 - axis] <= 1e-9 * extent[axis]:
-            straight = [nodes[np.argsort(result.contact.x[nodes, axis])] for nodes, _ in parts]
-            return [Line(nodes, factor * result.contact.x[nodes, axis], f"{name} [{unit}]") for nodes in straight]
-    start = "" if label is None else f" from ({factor * label[0]:.4g}, {factor * label[1]:.4g})"
-    return [Line(nodes, factor * position, f"arc length{start} [{unit}]") for nodes, position in parts]
+    extent = np.ptp(c.x[index], axis=0)
+    axis = int(np.argmax(extent))
+    scale, unit = style.scaled(float(extent[axis]), "m")
+    parts = [(index, c.x[index, axis])] if mesh is None else _parts(result, boundary, index)
+    if mesh is None or extent.min() <= 1e-9 * extent[axis]:
+        ordered = [nodes[np.argsort(c.x[nodes, axis])] for nodes, _ in parts]
+        label = f"{style.axis_names(result)[axis]} [{unit}]"
+        return [Line(nodes, scale * c.x[nodes, axis], label) for nodes in ordered]
+    (start, begin), *_ = ((c.x[nodes[0]], arc[0]) for nodes, arc in parts)
+    label = f"arc length from ({scale * start[0]:.4g}, {scale * start[1]:.4g}) [{unit}]"
+    return [Line(nodes, scale * (arc - begin), label) for nodes, arc in parts]
 
 
-def _parts(result: Result, boundary: str, index: np.ndarray
-           ) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray | None]:
-    """Contact nodes of each part with arc lengths along the whole boundary, and the point where these begin."""
-    if result.mesh_or_none is None:
-        x = result.contact.x[index]
-        order = np.argsort((x - x.mean(axis=0)) @ np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2][0])
-        return [(index[order], _arc_length(x[order]))], None
+def _parts(result: Result, boundary: str, index: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Contact nodes of each part, with arc lengths along the whole boundary."""
     points, place = result.mesh.points, np.full(result.mesh.n_nodes, -1)
     place[result.contact.node[index]] = index
     parts, begin = [], 0.0
-    lines = style.polylines(result.mesh.boundary_facets(boundary))
-    for line in lines:
-        position = begin + _arc_length(points[line])
-        begin = position[-1]
-        covered = np.flatnonzero(place[line] >= 0)
-        for run in np.split(covered, np.flatnonzero(np.diff(covered) > 1) + 1):
-            if len(run):
-                parts.append((place[line[run]], position[run]))
-    return parts, points[lines[0][0]]
+    for line in polylines(result.mesh.boundary_facets(boundary)):
+        lengths = np.linalg.norm(np.diff(points[line], axis=0), axis=1)
+        arc = begin + np.concatenate([[0.0], np.cumsum(lengths)])
+        begin, covered = arc[-1], np.flatnonzero(place[line] >= 0)
+        parts += [(place[line[run]], arc[run]) for run in
+                  np.split(covered, np.flatnonzero(np.diff(covered) > 1) + 1) if len(run)]
+    return parts
 
 
-def _arc_length(points: np.ndarray) -> np.ndarray:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+def polylines(edges: np.ndarray) -> list[np.ndarray]:
+    """Join oriented edges (n, 2), one from each node, to polylines of nodes: open ones, then rings, which end at their
+    first node."""
+    following = dict(edges.tolist())
+    ends, lines = set(following.values()), []
+    for start in (*sorted(set(following) - ends), *sorted(ends)):
+        line = [start]
+        while line[-1] in following:
+            line.append(following.pop(line[-1]))
+        if len(line) > 1:
+            lines.append(np.array(line))
+    return lines
 
 
 def draw_map(ax: Axes, flat: Flat, values: np.ndarray, norm: Normalize) -> ScalarMappable:
     """Draw nodal values in colours."""
     _finish(ax, flat)
-    if flat.triangles is None:
+    if not len(flat.triangles):
         return ax.scatter(*flat.points.T, c=values, s=18, cmap="viridis", norm=norm)
     return ax.tripcolor(Triangulation(*flat.points.T, flat.triangles), values, cmap="viridis", shading="gouraud",
                         norm=norm, rasterized=True)
@@ -284,7 +255,7 @@ def draw_map(ax: Axes, flat: Flat, values: np.ndarray, norm: Normalize) -> Scala
 
 def _draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
     """Draw the nodes in the colours of their states over the triangles; the legend counts them."""
-    if flat.triangles is not None:
+    if len(flat.triangles):
         ax.triplot(Triangulation(*flat.points.T, flat.triangles), color="#c9ced5", linewidth=0.4, zorder=1)
     ax.scatter(*flat.points.T, c=[style.STATE_INKS[int(s)] for s in states], zorder=2, edgecolors=style.INK,
                linewidths=0.2, s=float(np.clip(4000 / len(states), 1.5, 40.0)))
@@ -343,7 +314,7 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
         The label of ``factors``, with their unit.
     steps : int
         The largest number of steps drawn for each contact boundary: the first, the last, that of the largest pressure,
-        those where ``factors`` turn, and others between them; 0 for none. The title says how many are left out.
+        and others between them; 0 for none. The title says how many are left out.
 
     Examples
     --------
@@ -360,7 +331,7 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
     names = chosen_boundaries(results[-1]) if checks.integer("steps", steps) else ()
     if not rows and not names:
         raise ValueError("nothing to draw: give quantities, or steps > 0")
-    shown = _shown(results, factors, steps) if names else ()
+    shown = _shown(results, steps) if names else ()
     columns, curve_columns = min(_COLUMNS, max(len(shown), 1)), min(3, max(len(rows), 1))
     curve_rows, map_rows = -(-len(rows) // curve_columns), -(-len(shown) // columns)
     heights = [2.7 * curve_rows] * bool(rows) + [2.1 * map_rows + 0.5] * len(names)
@@ -392,17 +363,13 @@ def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result
     return results, factors
 
 
-def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray:
-    """The numbers of the steps to draw: both ends, the largest pressure and turns, then those farthest from all these.
-    """
-    last = len(results) - 1
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(factors))) != 0) + 1
-    turns = turns[np.unique(np.linspace(0, len(turns) - 1, min(max(steps - 3, 0), len(turns))).astype(int))]
-    peak = int(np.argmax([result.contact.pressure.max(initial=0.0) for result in results]))
-    chosen = list(dict.fromkeys([0, last, peak, *turns.tolist()]))[:steps]
-    while len(chosen) < min(steps, len(results)):
-        chosen.append(int(np.argmax(np.abs(np.subtract.outer(np.arange(last + 1), chosen)).min(axis=1))))
-    return np.sort(chosen)
+def _shown(results: list[Result], steps: int) -> np.ndarray:
+    """The numbers of the steps to draw: evenly spread, but one of them that of the largest pressure."""
+    shown = np.linspace(0, len(results) - 1, min(steps, len(results))).round().astype(int)
+    peak = np.argmax([result.contact.pressure.max(initial=0.0) for result in results])
+    if len(shown) > 2 and peak not in shown:
+        shown[1 + np.argmin(np.abs(shown[1:-1] - peak))] = peak
+    return shown
 
 
 def _evaluate(results: list[Result], quantities: Mapping[str, Callable[[Result], float]]) -> dict[str, np.ndarray]:

@@ -1,16 +1,21 @@
-"""history: residual, change and estimated error against work, cycles or time. path: the cycle diagram of a solver."""
+"""history: residual, change and error against work, cycles or time; path: the cycle diagram of a solver; adaptation:
+the meshes of an adaptive loop, and how its error falls."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from adaptmg import _checks as checks
-from adaptmg.plot.style import BLUE, CYCLE, GREEN, GREY, INK, ORANGE, canvas, label_text, plain, styled
+from adaptmg.estimate.step import Step
+from adaptmg.plot import style
+from adaptmg.plot.bodies import Coloring, draw_bodies, state_marks
 from adaptmg.solver.result import Result
 
 _QUANTITIES = {"error_estimate": "estimated error (relative, energy norm)",
@@ -21,7 +26,7 @@ _AGAINST = {"work_units": "work units", "cycle": "cycle", "seconds": "time [s]"}
 _DASHES = ("-", "--", ":", "-.")
 
 
-@styled
+@style.styled
 def history(results: Result | Mapping[str, Result], against: str = "work_units", ax: Axes | None = None) -> Figure:
     """Draw convergence histories on a logarithmic scale: of one result all that it recorded, of several the true error,
     where all recorded it, else the natural residual, or what else all recorded.
@@ -45,25 +50,25 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
         raise TypeError(f"results must be a Result or a mapping of labels to Results, got {results!r}")
     checks.choice("against", against, _AGAINST)
     quantities = _chosen(runs, several)
-    ax = canvas(ax, (6.4, 4.2))
+    ax = style.canvas(ax, (6.4, 4.2))
     for k, (label, result) in enumerate(runs.items()):
         for j, name in enumerate(quantities):
             x, y = np.asarray(result.history[against], dtype=float), np.asarray(result.history[name], dtype=float)
             shown = np.isfinite(x) & np.isfinite(y) & (y > 0)
             ax.semilogy(x[shown], y[shown], marker="o" if shown.sum() <= 60 else "",
-                        linestyle="-" if several else _DASHES[j], color=CYCLE[(k if several else j) % len(CYCLE)],
-                        label=label_text(str(label)) if several else _QUANTITIES[name])
+                        linestyle="-" if several else _DASHES[j], color=f"C{k if several else j}",
+                        label=style.label_text(str(label)) if several else _QUANTITIES[name])
     tolerances = {result.rtol for result in runs.values()}
     if len(tolerances) == 1:
-        ax.axhline(tolerances.pop(), color=GREY, linewidth=0.9, linestyle=(0, (4, 3)), zorder=1)
-        ax.annotate("rtol", (1.0, next(iter(runs.values())).rtol), xycoords=("axes fraction", "data"), color=GREY,
+        ax.axhline(tolerances.pop(), color=style.GREY, linewidth=0.9, linestyle=(0, (4, 3)), zorder=1)
+        ax.annotate("rtol", (1.0, next(iter(runs.values())).rtol), xycoords=("axes fraction", "data"), color=style.GREY,
                     fontsize=8.5, ha="right", va="bottom")
     ax.set_xlabel(_AGAINST[against])
     if several or len(quantities) == 1:
         ax.set_ylabel(_QUANTITIES[quantities[0]])
     else:
         ax.set_ylabel("relative measure")
-        ax.set_title(plain(next(iter(runs.values())).problem_name))
+        ax.set_title(style.plain(next(iter(runs.values())).problem_name))
     ax.grid(True)
     if several or len(quantities) > 1:
         ax.legend(loc="upper right")
@@ -86,25 +91,15 @@ def _chosen(runs: Mapping[str, Result], several: bool) -> list[str]:
 
 
 #: transfers by their names in the path: colour, line and label
-_TRANSFERS = {"restrict": (ORANGE, "-", "restrict residual"), "prolong": (BLUE, "-", "prolong correction"),
-              "start": (INK, (0, (3, 2)), "prolong solution (nested start)")}
+_TRANSFERS = {"restrict": (style.ORANGE, "-", "restrict residual"), "prolong": (style.BLUE, "-", "prolong correction"),
+              "start": (style.INK, (0, (3, 2)), "prolong solution (nested start)")}
 
 
-@dataclass
-class _Stop:
-    """A point of the cycle diagram: a level, the action there, and the transfer that leads to it."""
-
-    level: int
-    action: str
-    times: int
-    arrival: str = ""
-
-
-@styled
-def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
+@style.styled
+def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
     """Draw the cycle diagram, level against step (as Fig. 1 of the paper): smoothing, coarse solves and transfers.
 
-    At most ``steps`` points are drawn, from the start; the picture says how many there are.
+    At most ``steps`` of them are drawn, from the start; the picture says how many there are.
 
     Examples
     --------
@@ -113,56 +108,103 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 60) -> Figure:
     1
     """
     checks.integer("steps", steps, 2)
-    stops = _stops(checks.instance("result", result, Result).path)
-    if not stops:
+    entries = checks.instance("result", result, Result).path
+    if not entries:
         raise ValueError("this result has no cycles to draw (result.path is empty)")
-    shown = stops[:steps]
-    levels = max(len(result.levels), max(stop.level for stop in shown) + 1)
-    ax = canvas(ax, (min(11.0, 3.4 + 0.18 * len(shown)), 1.1 + 0.62 * max(levels, 2)))
-    height = np.array([stop.level for stop in shown])
-    for k, stop in enumerate(shown):
-        if k and stop.arrival:
-            color, style, label = _TRANSFERS[stop.arrival]
-            first = stop.arrival not in {before.arrival for before in shown[1:k]}
-            ax.plot([k - 1, k], height[k - 1:k + 1], color=color, linestyle=style, linewidth=1.4,
-                    label=label if first else None, zorder=2)
-    for action, marker, face, edge, size, label in (("smooth", "o", "white", INK, 120, "smooth (sweeps)"),
-                                                    ("solve", "s", GREEN, GREEN, 80, "solve")):
-        if at := [k for k, stop in enumerate(shown) if stop.action == action]:
-            ax.scatter(at, height[at], marker=marker, s=size, facecolor=face, edgecolor=edge, linewidth=1.1, zorder=3,
-                       label=label)
-    for k, stop in enumerate(shown):
-        if stop.action == "smooth" and stop.times < 100:
-            ax.text(k, stop.level, str(stop.times), ha="center", va="center", fontsize=7, color=INK, zorder=4)
+    levels = max(len(result.levels), max(level for level, _, _ in entries[:steps]) + 1)
+    ax = style.canvas(ax, (min(11.0, 3.4 + 0.1 * len(entries[:steps])), 1.1 + 0.62 * max(levels, 2)))
+    at, height, before = 0.0, entries[0][0], "restrict"
+    for level, action, times in entries[:steps]:
+        # a restriction is recorded on the level it leaves, the others on the one they reach
+        reached = level - 1 if action == "restrict" else level
+        if action in _TRANSFERS:
+            color, dashes, label = _TRANSFERS[action]
+            ax.plot([at, at + 1], [height, reached], color=color, linestyle=dashes, linewidth=1.4, label=label)
+            at += 1
+        elif before not in _TRANSFERS:
+            at += 0.8  # next to another
+        if action == "smooth":
+            ax.scatter(at, level, marker="o", s=120, facecolor="white", edgecolor=style.INK, linewidth=1.1, zorder=3,
+                       label="smooth (sweeps)")
+            ax.text(at, level, str(times) if times < 100 else "", ha="center", va="center", fontsize=7, color=style.INK,
+                    zorder=4)
+        elif action == "solve":
+            ax.scatter(at, level, marker="s", s=80, color=style.GREEN, zorder=3, label="solve")
+        height, before = reached, action
     nodes = [f"\n{int(level['nodes'])} nodes" for level in result.levels] + [""] * levels
     ax.set_yticks(range(levels), [f"level {k}{nodes[k]}" for k in range(levels)])
-    ax.set(xlim=(-0.8, len(shown) - 0.2), ylim=(-0.6, levels - 0.45), xticks=[])
+    ax.set(xlim=(-0.8, at + 0.8), ylim=(-0.6, levels - 0.45), xticks=[])
     ax.spines[["bottom", "left"]].set_visible(False)
     ax.tick_params(axis="y", length=0)
-    for k in range(levels):
-        ax.axhline(k, color="#e6e9ed", linewidth=0.8, zorder=0)
-    if len(stops) > steps:
-        ax.text(1.0, -0.02, f"first {steps} of {len(stops)} steps", transform=ax.transAxes, ha="right", va="top",
-                color=INK, fontsize=8.5)
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
+    ax.grid(True, axis="y")
+    if len(entries) > steps:
+        ax.text(1.0, -0.02, f"first {steps} of {len(entries)} steps", transform=ax.transAxes, ha="right", va="top",
+                color=style.INK, fontsize=8.5)
+    handles, labels = ax.get_legend_handles_labels()
+    entry = dict(zip(labels, handles, strict=True))
+    ax.legend(entry.values(), entry, loc="upper left", bbox_to_anchor=(1.0, 1.02))
     return ax.figure
 
 
-def _stops(entries: list[tuple[int, str, int]]) -> list[_Stop]:
-    """Points in order. A restriction is recorded on the level it leaves, a prolongation on the one it reaches."""
-    stops: list[_Stop] = []
-    arrival = ""
-    for level, action, times in entries:
-        if action == "restrict":
-            if not stops or stops[-1].level != level:
-                stops.append(_Stop(level, "", 0, arrival))
-            arrival = "restrict"
-            continue
-        if action in ("prolong", "start"):
-            stops.append(_Stop(level, "", 0, action))
-        elif stops and stops[-1].level == level and not stops[-1].action:
-            stops[-1].action, stops[-1].times = action, times
-        else:
-            stops.append(_Stop(level, action, times, arrival))
-        arrival = ""
-    return stops
+@style.styled
+def adaptation(steps: Sequence[Step]) -> Figure:
+    """Draw an adaptive loop: three of its meshes with contact states, a map of the indicator, and how the error falls.
+
+    ``steps`` are those of :func:`adaptmg.adapt`. Above are the first mesh, one in the middle and the last; below the
+    square root of each element's part of the estimate on the last mesh, and the relative estimate against nodes and
+    against seconds (meshes included), with the rate of smooth solutions (of a goal twice that of the energy norm).
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=20))
+    >>> am.plot.adaptation(steps).savefig("adaptation.png")
+    """
+    steps = checks.items("steps", steps, Step, "Steps of am.adapt")
+    if not steps:
+        raise ValueError("steps is empty: give the steps of am.adapt, as in list(am.adapt(...))")
+    last, present = steps[-1], set()
+    dim, goal = last.result.dim, last.estimate.signed is not None
+    figure = style.new_figure((10.5, 7.2))
+    figure.get_layout_engine().set(w_pad=0.1)
+    for k, number in enumerate(sorted({0, len(steps) // 2, len(steps) - 1})):
+        ax, result = _panel(figure, k, dim, f"step {number}: {steps[number].nodes} nodes"), steps[number].result
+        marks = state_marks(result.mesh, result.contact)
+        present |= draw_bodies(ax, result.mesh, style.body_fills(len(result.mesh.bodies)), marks)
+    figure.legend(handles=style.state_lines(present), loc="outside upper right", ncols=3, fontsize=8.5)
+    # at most four decades of the indicator in colour
+    parts = np.sqrt(last.estimate.squares)
+    largest = float(parts.max()) or 1.0
+    norm = LogNorm(max(1e-4 * largest, parts.min(initial=0.5 * largest, where=parts > 0)), largest, clip=True)
+    ax = _panel(figure, 3, dim, f"indicator, step {last.number}")
+    draw_bodies(ax, last.result.mesh, Coloring(parts, False, "", norm), lines=False)
+    label = r"$|\eta_E|^{1/2}$ of the goal" if goal else r"$\eta_E$ [$\sqrt{\mathrm{N\,m}}$]"
+    figure.colorbar(ScalarMappable(norm, "viridis"), ax=ax, shrink=0.8, label=label)
+    nodes = np.array([step.nodes for step in steps], dtype=float)
+    relative = np.array([step.estimate.relative for step in steps])
+    left, right = figure.add_subplot(2, 3, 5), figure.add_subplot(2, 3, 6)
+    seconds = np.array([step.total_seconds for step in steps])
+    for ax, x, name in ((left, nodes, "nodes"), (right, seconds, "time, meshes included [s]")):
+        shown = (x > 0) & (relative > 0) & np.isfinite(relative)
+        ax.loglog(x[shown], relative[shown], marker="o", color=style.BLUE)
+        ax.set(xlabel=name, ylabel="estimate / value of the goal [-]" if goal else r"estimate / $\|u_h\|_A$ [-]")
+        ax.grid(True, which="both")
+        for axis in (ax.xaxis, ax.yaxis):
+            style.label_plainly(axis)
+    if (relative > 0).all() and np.isfinite(relative[-1]) and nodes[-1] > nodes[0]:
+        # the error of a quantity falls as the square of that in the energy norm
+        power = -2 / dim if goal else -1 / dim
+        left.plot(nodes, 1.35 * relative[-1] * (nodes / nodes[-1]) ** power, color=style.GREY, linewidth=1.0,
+                  linestyle="--", label=f"nodes$^{{{Fraction(power).limit_denominator(9)}}}$")
+        left.legend()
+    figure.suptitle(style.plain(last.result.problem_name), fontsize=11)
+    return figure
+
+
+def _panel(figure: Figure, k: int, dim: int, title: str) -> Axes:
+    """Axes for a mesh."""
+    ax = figure.add_subplot(2, 3, k + 1, projection="3d" if dim == 3 else None)
+    ax.set_title(title, fontsize=9.5)
+    if dim == 3:
+        ax.set_axis_off()
+    return ax

@@ -6,7 +6,6 @@ Open, slip and stick have the same three colours on curves, interfaces and backg
 from __future__ import annotations
 
 import io
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 import matplotlib
@@ -17,7 +16,6 @@ from matplotlib.axis import Axis
 from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.mathtext import MathTextParser
@@ -27,10 +25,9 @@ from matplotlib.transforms import ScaledTranslation
 from adaptmg import _checks as checks
 from adaptmg._text import printable
 from adaptmg.smoother.system import OPEN, SLIP, STICK
-from adaptmg.solver.contact_result import ContactResult
 from adaptmg.solver.result import Result
 
-INK, GREY, PALE = "#1f2328", "#8a9099", "#eceef1"
+INK, GREY = "#1f2328", "#8a9099"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
 #: fills of bodies: pale, so that lines, marks and the colours of states show on them
 BODY_COLORS = ("#b9d3ea", "#f3d9b1", "#bfe0c8", "#e3c8dd", "#d9d6cf", "#f4efb5", "#b8e2e8", "#e9bdb5")
@@ -173,8 +170,10 @@ def number(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
-def label_plainly(axis: Axis, subs: Sequence[float]) -> None:
-    """Label a logarithmic axis with plain numbers at these multiples of powers of ten."""
+def label_plainly(axis: Axis) -> None:
+    """Label a logarithmic axis with plain numbers: few on long ranges, several on short ones."""
+    low, high = axis.get_data_interval()
+    subs = (1.0,) if high > 100 * low else (1.0, 2.0, 5.0) if high > 5 * low else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
     axis.set_major_locator(LogLocator(subs=subs, numticks=20))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -203,51 +202,23 @@ def shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
         ax.axvspan(left, right, facecolor=STATE_COLORS[int(state[a])], edgecolor="none", linewidth=0, zorder=0)
 
 
-def halves(points: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Cut a polyline half way between its nodes, each half in the colour of its node."""
-    middle = 0.5 * (points[:-1] + points[1:])
-    segments = np.stack([np.stack([points[:-1], middle], 1), np.stack([middle, points[1:]], 1)], 1).reshape(-1, 2, 2)
-    codes = np.stack([state[:-1], state[1:]], 1).ravel()
-    return segments, [STATE_INKS[int(code)] for code in codes]
+def halves(edges: np.ndarray) -> np.ndarray:
+    """Return the halves (2 n, 2, dim) of edges (n, 2, dim), that of the first end first."""
+    middle = edges.mean(axis=1, keepdims=True)
+    return np.concatenate([edges[:, :1], middle, middle, edges[:, 1:]], axis=1).reshape(-1, 2, edges.shape[2])
 
 
 def stated_curve(ax: Axes, position: np.ndarray, values: np.ndarray, state: np.ndarray, linewidth: float = 1.8) -> None:
-    """Draw values against position as a curve coloured by state, with marks up to 150 nodes."""
-    segments, colors = halves(np.stack([position, values], 1), state)
-    ax.add_collection(LineCollection(segments, colors=colors, linewidths=linewidth, capstyle="round", zorder=3))
-    size = 9.0 if len(position) <= 150 else 0.0
-    ax.scatter(position, values, s=size, c=[STATE_INKS[int(code)] for code in state], linewidths=0, zorder=4)
-
-
-def states_of(contact: ContactResult, boundary: int, n_nodes: int) -> np.ndarray:
-    """Return the states (n_nodes,) of the contact nodes of a boundary, given by its number; -1 elsewhere."""
-    states, mine = np.full(n_nodes, -1), contact.boundary == boundary
-    states[contact.node[mine]] = contact.state[mine]
-    return states
-
-
-def facet_states(corners: np.ndarray) -> np.ndarray:
-    """Return the state (n,) of most corners of triangles from those of the corners (n, 3); -1 unless all have one."""
-    return np.where(corners.min(axis=1) >= 0, np.median(corners, axis=1), -1).astype(int)
-
-
-def inks(states: np.ndarray) -> np.ndarray:
-    """Return the strong colours (n, 4) of states."""
-    return to_rgba_array([STATE_INKS[int(state)] for state in states]).reshape(-1, 4)
-
-
-def stated_lines(ax: Axes, points: np.ndarray, facets: np.ndarray, state: np.ndarray, linewidth: float,
-                 color: str | None = None) -> None:
-    """Draw edges (n, 2) of a mesh coloured by the states of its nodes, or all in one colour."""
-    for line in polylines(facets):
-        segments, colors = halves(points[line], state[line])
-        ax.add_collection(LineCollection(segments, colors=color or colors, linewidths=linewidth, capstyle="butt",
-                                         zorder=4))
+    """Draw values against position as a curve coloured by state half way between nodes, with marks up to 150 nodes."""
+    points, colors = np.stack([position, values], 1), [STATE_INKS[int(code)] for code in state]
+    ax.add_collection(LineCollection(halves(np.stack([points[:-1], points[1:]], 1)), colors=np.repeat(colors, 2)[1:-1],
+                                     linewidths=linewidth, capstyle="round", zorder=3))
+    ax.scatter(position, values, s=9.0 if len(position) <= 150 else 0.0, c=colors, linewidths=0, zorder=4)
 
 
 def body_fills(count: int) -> list[str]:
-    """Return a colour for each of ``count`` bodies, one alone pale."""
-    return [BODY_COLORS[k % len(BODY_COLORS)] for k in range(count)] if count > 1 else [PALE]
+    """Return a colour for each of ``count`` bodies."""
+    return [BODY_COLORS[k % len(BODY_COLORS)] for k in range(count)]
 
 
 def state_lines(states: Iterable[int], linewidth: float = 3.0) -> list[Line2D]:
@@ -255,25 +226,3 @@ def state_lines(states: Iterable[int], linewidth: float = 3.0) -> list[Line2D]:
     present = set(map(int, states))
     return [Line2D([], [], color=STATE_INKS[s], linewidth=linewidth, label=STATE_NAMES[s])
             for s in (OPEN, SLIP, STICK) if int(s) in present]
-
-
-def polylines(edges: np.ndarray) -> list[np.ndarray]:
-    """Join oriented edges (n, 2) to polylines of nodes, each edge used once. Open polylines come first, by the number
-    of their first node, then rings, whose last node is their first."""
-    following: dict[int, list[int]] = defaultdict(list)
-    surplus: dict[int, int] = defaultdict(int)
-    for a, b in np.asarray(edges).tolist():
-        following[a].append(b)
-        surplus[a] += 1
-        surplus[b] -= 1
-
-    def from_node(start: int) -> np.ndarray:
-        nodes = [start]
-        while following[nodes[-1]]:
-            nodes.append(following[nodes[-1]].pop())
-        return np.array(nodes)
-
-    starts = sorted(following)
-    result = [from_node(node) for node in starts for _ in range(max(surplus[node], 0))]
-    # the remaining edges enter each node as often as they leave it: they form rings
-    return result + [from_node(node) for node in starts if following[node]]

@@ -24,8 +24,6 @@ from adaptmg._numba import kernel
 from adaptmg.mesh.arrays import facet_table
 from adaptmg.plot.style import INK, bounds
 
-#: the largest number of triangles whose edges are drawn by default
-_EDGES_UP_TO = 6000
 #: pixels of the raster for each pixel of the picture, in each direction
 _FINER = 2
 
@@ -37,22 +35,20 @@ class Lines:
     ends: np.ndarray  # (n, 2, 3): in data units
     color: str
     width: float  # points
-    dash: tuple[float, float] = (1.0, 0.0)  # (on, off): points; off = 0 for a solid line
     hidden: str | None = None  # colour of the parts behind the surface; None: not drawn
 
 
 class ShadedSurface(Artist):
     """Shaded triangles (n, 3, 3) in colours (n, 4) or (n, 3, 4), and lines; the light stands behind the viewer's left
-    shoulder. The edges of triangles are drawn if ``edges``, by default up to 6000 triangles."""
+    shoulder. The edges of triangles are drawn if ``edges``."""
 
-    def __init__(self, corners: np.ndarray, colors: np.ndarray, edges: bool | None = None,
-                 lines: tuple[Lines, ...] = (), shading: float = 0.28) -> None:
+    def __init__(self, corners: np.ndarray, colors: np.ndarray, edges: bool = False, lines: tuple[Lines, ...] = (),
+                 shading: float = 0.2) -> None:
         super().__init__()
         self.corners, self.lines, self.shading = np.asarray(corners, dtype=np.float64), lines, shading
         colors = np.asarray(colors, dtype=np.float64)[..., :3]
         self.colors = np.broadcast_to(colors[:, None] if colors.ndim == 2 else colors, (len(corners), 3, 3))
-        edged = len(corners) <= _EDGES_UP_TO if edges is None else edges
-        self.width = float(np.clip(12 / np.sqrt(len(corners)), 0.15, 0.6)) if edged else 0.0
+        self.width = float(np.clip(12 / np.sqrt(len(corners)), 0.15, 0.6)) if edges else 0.0
         self.set_clip_on(False)
         self.set_zorder(1)
 
@@ -98,11 +94,9 @@ class ShadedSurface(Artist):
         raster_triangles(corners, self._shaded(), np.array(to_rgb(INK)), self.width * point * finer, image, depth)
         bias = 0.01 * float(np.ptp(seen[:, 2]))
         for line, ends in zip(self.lines, lines, strict=True):
-            on, off = (part * point * finer for part in line.dash)
             for color, nearer in ((line.hidden, np.inf), (line.color, bias)):
                 if color is not None:
-                    raster_segments(ends, np.array(to_rgb(color)), line.width * point * finer, on, off, nearer, image,
-                                    depth)
+                    raster_segments(ends, np.array(to_rgb(color)), line.width * point * finer, nearer, image, depth)
         # colours weighted by coverage, so that edges fade out without a dark rim
         image[..., :3] *= image[..., 3:]
         mean = image.reshape(rows, _FINER, columns, _FINER, 4).mean(axis=(1, 3))
@@ -171,23 +165,16 @@ def raster_triangles(corners, colors, ink, width, image, depth):
 
 
 @kernel
-def raster_segments(ends, ink, width, dash, space, bias, image, depth):
+def raster_segments(ends, ink, width, bias, image, depth):
     """Draw the visible parts of segments (n, 2, 3); what lies nearer by at most ``bias`` does not hide them."""
     rows, columns = depth.shape
     reach = int(0.5 * width + 1.0)
     for s in range(len(ends)):
         dx, dy, dz = ends[s, 1] - ends[s, 0]
-        length = (dx * dx + dy * dy) ** 0.5
-        steps = int(2.0 * length) + 1
-        # dashes continue over the short segments of a mesh
-        along = 1.0 / max(length, 1e-300)
-        if dx < 0.0 or (dx == 0.0 and dy < 0.0):
-            along = -along
+        steps = int(2.0 * (dx * dx + dy * dy) ** 0.5) + 1
         for m in range(steps + 1):
             t = m / steps
             x, y, z = ends[s, 0, 0] + t * dx, ends[s, 0, 1] + t * dy, ends[s, 0, 2] + t * dz
-            if space > 0.0 and (along * (x * dx + y * dy)) % (dash + space) > dash:
-                continue
             for i in range(max(int(y) - reach, 0), min(int(y) + reach, rows - 1) + 1):
                 for j in range(max(int(x) - reach, 0), min(int(x) + reach, columns - 1) + 1):
                     if (i + 0.5 - y) ** 2 + (j + 0.5 - x) ** 2 <= 0.25 * width * width and z <= depth[i, j] + bias:

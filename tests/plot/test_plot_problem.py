@@ -10,7 +10,8 @@ from matplotlib.quiver import Quiver
 from pictures import words
 
 import adaptmg as am
-from adaptmg.plot.posed_problem import boundary_edges, spread
+from adaptmg.mesh import graded
+from adaptmg.plot.posed_problem import _spread
 from adaptmg.plot.surfaces import ShadedSurface
 
 STEEL = {"young": 2e11, "poisson": 0.3}
@@ -92,10 +93,10 @@ def test_arrows_are_proportional_to_tractions_and_end_at_bodies():
 
 
 def test_points_are_spread_over_all_edges_of_a_boundary():
-    both = boundary_edges(am.Polygon(vertices=((0, 0), (1, 0), (1, 1), (0, 1)), boundaries=("a", "b", "a", "b")))["a"]
-    points, normals = spread(both, np.array([0.25, 0.75]))
-    np.testing.assert_allclose(points, [[0.5, 0], [0.5, 1]])
-    np.testing.assert_allclose(normals, [[0, -1], [0, 1]])
+    mesh = graded(am.Polygon(vertices=((0, 0), (1, 0), (1, 1), (0, 1)), boundaries=("a", "b", "a", "b")), 0.3)
+    points, normals = _spread(mesh, "a", 2)
+    np.testing.assert_allclose(points, [[0.5, 0], [0.5, 1]], atol=1e-15)
+    np.testing.assert_allclose(normals, [[0, -1], [0, 1]], atol=1e-15)
 
 
 def test_solids_are_drawn_on_a_mesh():

@@ -1,0 +1,302 @@
+"""mesh, grids, deformation: bodies with the states of contact, before and after loading, coloured by body or values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import Normalize, to_rgba_array
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.tri import Triangulation
+
+from adaptmg import _checks as checks
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table
+from adaptmg.plot import style
+from adaptmg.plot.surfaces import Lines, ShadedSurface, finish_axes, sharp_edges, view_of
+from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.result import Result
+
+#: the largest numbers of triangles and of surface triangles whose edges are drawn by default
+_LINES_UP_TO = {2: 8000, 3: 6000}
+
+
+@style.styled
+def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = ()) -> Figure:
+    """Draw a mesh; several bodies in different colours.
+
+    Parameters
+    ----------
+    drawn : MeshArrays
+    ax : matplotlib Axes, optional
+        In 3D with ``projection="3d"``.
+    contact : sequence of str
+        Boundaries to mark.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.plot.mesh(grids.finest.mesh, contact=["bottom"]).axes[0].get_title()
+    '25 nodes, 32 elements'
+    """
+    checks.instance("drawn", drawn, MeshArrays, "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or "
+                    "adaptmg.mesh.read.as_mesh)")
+    ax = style.canvas(ax, (5.4, 5.0), drawn.dim)
+    _draw_mesh(ax, drawn, contact)
+    style.entitle(ax, f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
+    return ax.figure
+
+
+@style.styled
+def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
+    """Draw the grids of a hierarchy side by side, coarsest first, with their numbers of nodes.
+
+    ``axes`` holds one for each level, in 3D with ``projection="3d"``. ValueError if a level has no mesh.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> len(am.plot.grids(grids).axes)
+    2
+    """
+    levels = checks.instance("hierarchy", hierarchy, Hierarchy).levels
+    without = [k for k, level in enumerate(levels) if level.mesh_or_none is None]
+    if without:
+        raise ValueError(f"levels {without} have no mesh to draw: make the hierarchy from meshes")
+    dim = hierarchy.finest.mesh.dim
+    if axes is None:
+        columns = min(len(hierarchy), 4)
+        figure = style.new_figure((3.1 * columns, 3.3 * -(-len(hierarchy) // columns)))
+        axes = style.cells(figure, len(hierarchy), columns, dim=dim)
+    axes = style.axes_of(axes, len(hierarchy))
+    for k, (level, ax) in enumerate(zip(levels, axes, strict=True)):
+        _draw_mesh(style.canvas(ax, (1, 1), dim), level.mesh, level.discrete.contact.names)
+        ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes, {len(level.discrete.contact)} contact", fontsize=9.5)
+        if dim == 3:
+            ax.set_axis_off()
+        elif k % 4:
+            ax.set_ylabel("")
+    return axes[0].figure
+
+
+def _draw_mesh(ax: Axes, drawn: MeshArrays, contact: Sequence[str]) -> None:
+    draw_bodies(ax, drawn, style.body_fills(len(drawn.bodies)),
+                boundary_marks(drawn, dict.fromkeys(contact, style.ORANGE)))
+
+
+@style.styled
+def deformation(result: Result, amplify: float | None = None, *, stress: bool = False, displacement: bool = False,
+                states: bool = False, bodies: Sequence[str] | None = None, lines: bool | None = None,
+                ax: Axes | None = None) -> Figure:
+    """Draw the deformed bodies, each in its own colour, over their outlines before; the title has the amplification.
+
+    Amplified bodies seem to overlap where an initial gap has closed, and to part where they only slid; with
+    ``amplify=1`` the picture is to scale. ``ax.set_xlim`` and ``ax.set_ylim`` of the figure's axes show a part of it.
+
+    Parameters
+    ----------
+    result : Result
+        With a mesh.
+    amplify : float, optional
+        Factor of the displacements, >= 0; by default the largest is drawn as about 5 % of the size of the model.
+    stress : bool
+        Colour by von Mises stress, constant on each element, MPa (in 3D that of the element behind each facet). The
+        scale ends where 99 % of the elements lie below; the label names the maximum.
+    displacement : bool
+        Colour by the length of the displacement, linear in each element.
+    states : bool
+        Mark the contact surfaces with the states of their nodes: open, slip, stick.
+    bodies : sequence of str, optional
+        Names of the bodies shown; default all. In 3D the others hide the contact surfaces.
+    lines : bool, optional
+        Whether to draw the edges of the elements; by default up to 8000 of them (in 3D, 6000 surface triangles).
+    ax : matplotlib Axes, optional
+        In 3D with ``projection="3d"``, where ``ax.view_init(elevation, azimuth)`` turns the picture.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> len(am.plot.deformation(result, amplify=10, stress=True).axes)  # with a colour bar
+    2
+    """
+    mesh = checks.instance("result", result, Result).mesh  # which raises without one
+    names = _names(mesh, bodies)
+    colors = _coloring(result, stress, displacement)
+    factor = _automatic_factor(result) if amplify is None else checks.nonnegative("amplify", amplify)
+    moved = mesh.points + factor * result.displacement
+    if ax is None and result.dim == 2:
+        extent = np.ptp(np.vstack([mesh.points, moved]), axis=0)
+        width, height = extent / extent.max()
+        ax = style.canvas(None, (max(5.6 * width, 2.6) + 1.6, max(5.0 * height, 2.0) + 0.9))
+    ax = style.canvas(ax, (6.8, 5.4), result.dim)
+    present = draw_bodies(ax, mesh, colors, state_marks(mesh, result.contact) if states else None, moved=moved,
+                          lines=lines, names=names, axes=style.axis_names(result))
+    style.entitle(ax, f"{style.plain(result.problem_name)}: displacement drawn "
+                      + ("to scale" if factor == 1 else f"{style.number(factor)} times"))
+    handles = [Line2D([], [], color=style.GREY, linewidth=0.9, label="before"), *style.state_lines(present)]
+    if isinstance(colors, Coloring):
+        above = colors.values.max() > 1.001 * colors.norm.vmax
+        bar = ax.figure.colorbar(ScalarMappable(colors.norm, "viridis"), ax=ax, label=colors.label, shrink=0.75,
+                                 pad=0.05 * result.dim - 0.06, extend="max" if above else "neither")
+        bar.outline.set_visible(False)
+        style.legend_below(ax, handles)
+    else:
+        patches = [Patch(facecolor=color, edgecolor=style.INK, linewidth=0.6, label=style.plain(name))
+                   for name, color in zip(mesh.bodies, colors, strict=True) if name in names]
+        ax.legend(handles=[*patches, *handles], loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+    return ax.figure
+
+
+def _names(mesh: MeshArrays, bodies: Sequence[str] | None) -> tuple[str, ...]:
+    names = mesh.bodies if bodies is None else (bodies,) if isinstance(bodies, str) else tuple(bodies)
+    if not names:
+        raise ValueError("bodies must name at least one body; None shows all")
+    return tuple(checks.choice("bodies", name, mesh.bodies) for name in names)
+
+
+def _automatic_factor(result: Result) -> float:
+    """A round factor that draws the largest displacement as about 5 % of the size; 1 if nothing moves."""
+    size = style.bounds(result.mesh.points)[2]
+    largest = float(np.linalg.norm(result.displacement, axis=1).max())
+    if not largest > 1e-12 * size:
+        return 1.0
+    factor = 0.05 * size / largest
+    power = 10.0 ** np.floor(np.log10(factor))
+    return float(power * min((1, 2, 5, 10), key=lambda m: abs(np.log(m * power / factor))))
+
+
+class Coloring(NamedTuple):
+    """Colours by values."""
+
+    values: np.ndarray  # (n_nodes,) or (n_elements,), in the unit of the label
+    nodal: bool
+    label: str  # of the colour bar
+    norm: Normalize
+
+
+def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | list[str]:
+    if stress and displacement:
+        raise ValueError("stress and displacement cannot both be the colours: draw two pictures")
+    if stress:
+        values = 1e-6 * result.von_mises()
+        largest = float(values.max())
+        # a corner or the edge of a punch has one element of a stress far above all others
+        top = float(np.quantile(values, 0.99)) or largest or 1.0
+        return Coloring(values, False, f"von Mises stress [MPa], maximum {style.number(largest)}", Normalize(0.0, top))
+    if displacement:
+        values = np.linalg.norm(result.displacement, axis=1)
+        factor, unit = style.scaled(float(values.max()), "m")
+        return Coloring(factor * values, True, f"displacement |u| [{unit}]",
+                        Normalize(0.0, factor * float(values.max()) or 1.0))
+    return style.body_fills(len(result.mesh.bodies))
+
+
+class Marks(NamedTuple):
+    """Colours of boundary facets, in 2D of the half of an edge at each corner."""
+
+    codes: np.ndarray  # (n_facets, dim) int: into the colours, of each corner; -1 at facets without a mark
+    colors: Sequence[str]
+
+
+def boundary_marks(mesh: MeshArrays, colors: Mapping[str, str]) -> Marks:
+    """Return the marks of boundaries by their names; names that do not exist are passed over."""
+    codes = np.full(mesh.facets.shape, -1)
+    for code, name in enumerate(colors):
+        if name in mesh.boundaries:
+            codes[mesh.facet_labels == mesh.boundaries.index(name)] = code
+    return Marks(codes, list(colors.values()))
+
+
+def state_marks(mesh: MeshArrays, contact: ContactResult) -> Marks:
+    """Return the states of facets whose corners are all contact nodes of their boundary."""
+    codes = np.full(mesh.facets.shape, -1)
+    for k, name in enumerate(contact.names):
+        state, mine = np.full(mesh.n_nodes, -1), contact.boundary == k
+        state[contact.node[mine]] = contact.state[mine]
+        facets = mesh.facet_labels == mesh.boundaries.index(name)
+        codes[facets] = state[mesh.facets[facets]]
+    codes[codes.min(axis=1) < 0] = -1
+    return Marks(codes, list(style.STATE_INKS.values()))
+
+
+def draw_bodies(ax: Axes, mesh: MeshArrays, colors: Coloring | Sequence[str], marks: Marks | None = None, *,
+                moved: np.ndarray | None = None, lines: bool | None = None, names: Sequence[str] | None = None,
+                axes: str = "xyz", strokes: Sequence[Lines] = ()) -> set[int]:
+    """Draw bodies, by default all, in one colour each or by values, with their outlines; return the codes of the marks.
+    Nodes ``moved`` to other places (n_nodes, dim) are drawn there, over the outlines before."""
+    table, now = facet_table(mesh.elements, mesh.n_nodes), mesh.points if moved is None else moved
+    behind = table.first[table.find(facet_keys(mesh.facets, mesh.n_nodes))]
+    shown = np.isin(mesh.element_body, [mesh.bodies.index(name) for name in names or mesh.bodies])
+    mine = shown[behind]
+    facets, behind = mesh.facets[mine], behind[mine]
+    codes = np.full(facets.shape, -1) if marks is None else marks.codes[mine]
+    marked = codes[:, 0] >= 0
+    inks = to_rgba_array([] if marks is None else marks.colors)
+    corners = np.concatenate([mesh.points[facets], now[facets]]).reshape(-1, mesh.dim)
+    scale, unit = style.scaled(style.bounds(corners)[2], "m")
+    before, now = None if moved is None else scale * mesh.points, scale * now
+    elements = np.flatnonzero(shown)
+    lines = len(elements if mesh.dim == 2 else facets) <= _LINES_UP_TO[mesh.dim] if lines is None else lines
+    if mesh.dim == 2:
+        # small bodies over large ones
+        size = np.bincount(mesh.element_body, np.abs(mesh.volumes))
+        elements = elements[np.argsort(-size[mesh.element_body[elements]], kind="stable")]
+        _fill(ax, now, mesh, elements, colors, lines)
+        for points, color, width in ((before, style.GREY, 0.8), (now, style.INK, 1.0)):
+            if points is not None:
+                ax.add_collection(LineCollection(points[facets], color=color, linewidth=width, zorder=3))
+        halves = style.halves(now[facets[marked]])
+        for color, width in (("white", 4.2), (inks[codes[marked].ravel()], 2.8)):
+            ax.add_collection(LineCollection(halves, color=color, linewidth=width, capstyle="round", zorder=4))
+        ax.set(aspect="equal", xlabel=f"{axes[0]} [{unit}]", ylabel=f"{axes[1]} [{unit}]")
+        ax.spines[:].set_visible(False)
+        ax.margins(0.03)
+        ax.autoscale_view()
+    else:
+        nodal = isinstance(colors, Coloring) and colors.nodal
+        rgba = np.repeat(_rgba(colors, mesh, behind)[:, None], 3, axis=1) if not nodal else _rgba(colors, mesh, facets)
+        rgba[marked] = inks[np.median(codes[marked], axis=1).astype(int)][:, None]
+        edges = sharp_edges(mesh.points, facets)
+        outlines = [Lines(now[edges], style.INK, 0.9)]
+        if before is not None:
+            outlines.insert(0, Lines(before[edges], style.GREY, 0.9))
+        ax.add_artist(ShadedSurface(now[facets], rgba, lines, (*outlines, *strokes)))
+        finish_axes(ax, scale * corners, unit)
+        if len(names or mesh.bodies) == 1:
+            view_of(ax, now[facets[marked]])
+    return set(codes[marked].ravel().tolist())
+
+
+def _fill(ax: Axes, points: np.ndarray, mesh: MeshArrays, shown: np.ndarray, colors: Coloring | Sequence[str],
+          lines: bool) -> None:
+    """Fill triangles, and draw their edges."""
+    valued, elements = isinstance(colors, Coloring), mesh.elements[shown]
+    # edges as wide as a pixel in the colour of their triangle close the seams between triangles
+    edge, width = ("white" if valued else style.INK, float(np.clip(14 / np.sqrt(len(shown)), 0.1, 0.6))
+                   ) if lines else ("face", 0.6)
+    if valued and colors.nodal:
+        nodes, corners = np.unique(elements, return_inverse=True)
+        ax.tripcolor(Triangulation(*points[nodes].T, corners.reshape(elements.shape)), colors.values[nodes],
+                     shading="gouraud", norm=colors.norm, rasterized=True, zorder=2)
+        fills, edge = "none", edge if lines else "none"
+    else:
+        fills = _rgba(colors, mesh, shown)
+    ax.add_collection(PolyCollection(points[elements], facecolor=fills, edgecolor=edge, linewidth=width,
+                                     rasterized=len(shown) > 20_000, zorder=2.1))
+
+
+def _rgba(colors: Coloring | Sequence[str], mesh: MeshArrays, index: np.ndarray) -> np.ndarray:
+    """Colours (..., 4) of elements, or nodes, by their numbers."""
+    if isinstance(colors, Coloring):
+        return ScalarMappable(colors.norm, "viridis").to_rgba(colors.values[index])
+    return to_rgba_array(colors)[mesh.element_body[index]]
