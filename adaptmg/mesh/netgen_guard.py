@@ -76,8 +76,7 @@ class Netgen:
         except (EOFError, OSError, pickle.UnpicklingError):
             self.end()
             if late.is_set():
-                raise NetgenUnfinished(f"it does not finish within {seconds:.0f} s: take smaller sizes where a part "
-                                       "is thin, or make it thicker") from None
+                raise NetgenUnfinished(f"it does not finish within {seconds:.0f} s") from None
             raise NetgenFails(f"it breaks down, exit code {self.process.returncode}") from None
         except BaseException:
             self.end()

@@ -120,7 +120,8 @@ def guessed_nodes(domain: Domain, max_size: float, side_sizes: dict[str, float],
 def netgen_error(domain: Domain, why: Exception) -> ValueError:
     """Return the error that names the domain and the remedy."""
     if isinstance(why, NetgenUnfinished):
-        return NetgenUnfinished(f"Netgen could not mesh {domain!r}: {why}")
+        return NetgenUnfinished(f"Netgen could not mesh {domain!r}: {why}: take smaller sizes where a part is thin, or "
+                                "make it thicker")
     return ValueError(f"Netgen could not mesh {domain!r} ({why}); change the sizes a little or take a smaller grading")
 
 

@@ -6,6 +6,7 @@ nor scipy is loaded. A request is the name of a function and its arguments; a sh
 
 from __future__ import annotations
 
+import gzip
 import math
 import os
 import pickle
@@ -17,6 +18,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import netgen.meshing
 import numpy as np
@@ -28,6 +30,9 @@ from adaptmg._machine import limit_memory
 from adaptmg.problem.combined_domains import Combination, Common, Cracked, Cut
 from adaptmg.problem.plane_domains import Box, Outline
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, SolidDomain
+
+if TYPE_CHECKING:
+    import meshio
 
 Tables = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]]
 Sizes = Sequence[tuple[np.ndarray, np.ndarray]]
@@ -42,6 +47,9 @@ _NO_LIMIT = 1e99
 _VOLUME_TOLERANCE = 1e-6
 # parameters of samples of surfaces: angles of those that are turned
 _ACROSS, _ALONG = (0.1, 0.5, 0.9, 1.3, 1.7), (0.01, 0.04, 0.07, 0.1, 0.13)
+# where Gmsh puts the nodes that VTK counts in order, of kinds that meshio leaves alone
+_ORDER = {"wedge18": (*range(7), 9, 7, 12, 14, 13, 8, 10, 11, 15, 17, 16),
+          "pyramid14": (*range(6), 8, 10, 6, 7, 9, 11, 12, 13)}
 _SIDES = ("left", "right", "front", "back", "bottom", "top")
 
 
@@ -82,8 +90,8 @@ def tables(mesh: netgen.meshing.Mesh, boundaries: Sequence[str] | None = None, b
         label = faces[_indices("the face descriptor", label, len(faces))]
     if boundaries is None:
         # a number far beyond the elements is a damaged one
-        boundaries = [mesh.GetBCName(i) for i in range(min(label.max() + 1, len(label)))]
-        bodies = [mesh.GetMaterial(i + 1) for i in range(min(body.max() + 1, len(body)))]
+        boundaries = [mesh.GetBCName(i).strip() for i in range(min(label.max() + 1, len(label)))]
+        bodies = [mesh.GetMaterial(i + 1).strip() for i in range(min(body.max() + 1, len(body)))]
     _indices("the boundary number", label, len(boundaries))
     _indices("the material number", body, len(bodies))
     return points, elements, facets, label, boundaries, body, bodies
@@ -377,52 +385,53 @@ def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoD
 
 def read_vol(path: str) -> Tables:
     """Return the tables of a mesh file of Netgen."""
+    data = Path(path).read_bytes()
+    if b"\nendmesh" not in (gzip.decompress(data) if path.endswith(".gz") else data):
+        raise ValueError("it is cut off: the keyword 'endmesh' is missing")
     mesh = netgen.meshing.Mesh()
     mesh.Load(path)
-    dim, mesh.dim = mesh.dim, 3
-    points = np.array(mesh.Coordinates())
-    mesh.dim = dim
-    if dim == 2 and len(points) and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points[:, :2], axis=0).max():
-        raise ValueError(f"the points of a plane mesh must have one z, got {points[:, 2].min():.6g} to "
-                         f"{points[:, 2].max():.6g}")
     return tables(mesh)
 
 
-MeshioTables = tuple[np.ndarray, list, list[str], dict, dict]
+MeshioTables = tuple[np.ndarray, list, dict, dict]
 
 
 def read_meshio(path: str) -> MeshioTables:
-    """Return points, cells (kind, nodes, body), bodies, faces and sets of nodes of a file that meshio reads."""
+    """Return points, cells (kind, nodes), sets of cells (block, rows) and sets of nodes of a file that meshio reads. Of
+    Gmsh it reads no 13-node pyramids and 15-node wedges, and of groups without names that share a curve the first."""
     import meshio
 
     try:
         raw = meshio.read(path)
-    except (SystemExit, meshio.ReadError) as error:
-        # meshio ends the process where readers fail
+    except (SystemExit, meshio.ReadError, KeyError) as error:
+        # meshio ends the process where readers fail; a key is a kind of cell
         raise ValueError(f"meshio does not read it ({error})") from None
-    dim = max((block.dim for block in raw.cells), default=0)
-    bodies, faces, labels = ["body"], {}, [np.zeros(len(block.data), dtype=np.int64) for block in raw.cells]
-    for name, members in (raw.cell_sets or _numbered(raw.cell_data)).items():
-        for block, label, rows in zip(raw.cells, labels, members, strict=True):
-            if rows is not None and len(rows) and block.dim == dim:
-                bodies += [name] * (bodies[-1] != name)
-                label[rows] = len(bodies) - 1
-            elif rows is not None and len(rows):
-                faces.setdefault(name, []).append((block.type, np.asarray(block.data)[rows]))
-    faces = {name: kept for name, own in faces.items()
-             if (kept := [(kind, nodes) for kind, nodes in own if meshio.CellBlock(kind, nodes).dim == dim - 1])}
+    of_gmsh = "gmsh:geometrical" in raw.cell_data
+    sets = {name: [(k, rows) for k, rows in enumerate(members) if rows is not None and len(rows)]
+            for name, members in raw.cell_sets.items() if not name.startswith("gmsh:")}
+    if of_gmsh or not sets:
+        sets = _numbered(raw) | sets
     points = np.zeros((len(raw.points), 3))
     points[:, :raw.points.shape[1]] = raw.points
-    cells = [(block.type, np.asarray(block.data), label) for block, label in zip(raw.cells, labels, strict=True)]
-    return points, cells, bodies, faces, {name: np.asarray(rows) for name, rows in raw.point_sets.items()}
+    cells = [(block.type, np.asarray(block.data)) for block in raw.cells]
+    if of_gmsh:
+        cells = [(kind, nodes[:, _ORDER[kind]] if kind in _ORDER else nodes) for kind, nodes in cells]
+    return points, cells, sets, {name: np.asarray(rows) for name, rows in raw.point_sets.items()}
 
 
-def _numbered(cell_data: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[np.ndarray]]:
-    """Sets of cells by the numbers of the first data that are whole numbers."""
-    numbers = next((parts for parts in cell_data.values() if all(part.dtype.kind in "iu" and part.ndim == 1
-                                                                 for part in parts)), [])
-    values = np.unique(np.concatenate(numbers)) if numbers else []
-    return {str(value): [np.flatnonzero(part == value) for part in numbers] for value in values}
+def _numbered(raw: meshio.Mesh) -> dict[str, list[tuple[int, np.ndarray]]]:
+    """Sets of cells by the numbers of the first data that are whole numbers; Gmsh has names for some, and 0 for none.
+    """
+    sets: dict[str, list[tuple[int, np.ndarray]]] = {}
+    key, numbers = next(((key, parts) for key, parts in raw.cell_data.items()
+                         if all(part.dtype.kind in "iu" and part.ndim == 1 for part in parts)), ("", []))
+    names = {tuple(map(int, pair)): name for name, pair in raw.field_data.items() if np.size(pair) == 2}
+    for k, (block, part) in enumerate(zip(raw.cells, numbers, strict=False)):
+        for value in np.unique(part).tolist():
+            if value or not key.startswith("gmsh:"):
+                name = names.get((abs(value), block.dim), str(abs(value)))
+                sets.setdefault(name, []).append((k, np.flatnonzero(part == value)))
+    return sets
 
 
 def _serve() -> None:

@@ -1,18 +1,14 @@
 """Meshes from files and from NGSolve: ``from_file``, ``from_ngsolve``, ``as_mesh``.
 
-Files of Gmsh and decks of Abaqus and CalculiX are read by :mod:`adaptmg.mesh.files`. Netgen reads its own (.vol,
-.vol.gz), and meshio all others, both in the process of :mod:`adaptmg.mesh.netgen_guard` with limits of time and memory:
-damaged numbers may lead a reader anywhere. What comes back is checked like every other mesh.
+Decks of Abaqus and CalculiX are read by :mod:`adaptmg.mesh.deck`, as meshio loses their surfaces and sections. Netgen
+reads its own files (.vol, .vol.gz), and meshio all others, both in the process of :mod:`adaptmg.mesh.netgen_guard` with
+limits of time and memory: damaged numbers may lead a reader anywhere. What comes back is checked like every other mesh.
 """
 
 from __future__ import annotations
 
-import gzip
-import io
-import re
 import sys
 import warnings
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,21 +16,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._files import file_size, read_bytes, waiting_folder
+from adaptmg._files import file_size
 from adaptmg._on_demand import OnDemand
 from adaptmg._text import printable, shortened
 from adaptmg.mesh.arrays import MeshArrays, normalised
-from adaptmg.mesh.files.contents import Contents, mesh_of
-from adaptmg.mesh.files.deck import read_deck
-from adaptmg.mesh.files.gmsh import read_gmsh
+from adaptmg.mesh.contents import Contents, mesh_of
+from adaptmg.mesh.deck import read_deck
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
 from adaptmg.mesh.soundness import check_mesh, check_stranger
 
 if TYPE_CHECKING:
     import ngsolve
 
-# unpacked over packed size: meshes reach about 30
-_MAX_PACKING = 200
 # Netgen's types of triangles and tetrahedra of second order
 _CURVED = (12, 21)
 # what a reader may take for each byte of a file
@@ -163,7 +156,7 @@ def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None
     Parameters
     ----------
     path : str or Path
-        ``.msh`` of Gmsh (MSH 2.0 to 4.1), ``.inp`` of Abaqus or CalculiX, ``.vol`` or ``.vol.gz`` of Netgen, or another
+        ``.msh`` of Gmsh (MSH 2 and 4.1), ``.inp`` of Abaqus or CalculiX, ``.vol`` or ``.vol.gz`` of Netgen, or another
         file that meshio reads (``.vtk``, ``.vtu``, ``.bdf``, ``.mdpa``, ...; of these, sets of cells and nodes).
     unit : float
         Length in m of one unit of the coordinates: 1e-3 for mm.
@@ -233,53 +226,18 @@ def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None
         if path.name.lower().endswith((".vol", ".vol.gz")):
             if split_bodies or wanted is not None or body is not None:
                 raise ValueError("split_bodies, boundaries and body are not for files of Netgen")
-            return _from_netgen_file(path, unit)
-        contents = (read_gmsh(read_bytes(path)) if suffix == ".msh" else read_deck(path) if suffix == ".inp" else
-                    Contents(*_read("read_meshio", path)))
+            points, elements, facets, label, names, material, bodies = _read("read_vol", path)
+            for name in (*names, *bodies):
+                checks.boundary_name("the name of a boundary or body", name)
+            return check_stranger(normalised(unit * points, elements, facets, label, names, material, bodies))
+        contents = read_deck(path) if suffix == ".inp" else Contents(*_read("read_meshio", path))
         mesh, rest = mesh_of(contents, unit=unit, unnamed=unnamed or "free",
                              split_bodies=checks.flag("split_bodies", split_bodies), boundaries=wanted, body=body)
     except (ValueError, OverflowError) as error:
-        how = "" if suffix in (".msh", ".inp") else "it is not a .msh or .inp file, and cannot be read otherwise: "
-        why = shortened(printable(str(error)))
-        raise ValueError(f"{str(path)!r}: {how * isinstance(error, NetgenFails)}{why}") from error
+        remedy = "; write it as MSH 2.2 (gmsh -format msh22)" * (suffix == ".msh" and isinstance(error, NetgenFails))
+        raise ValueError(f"{str(path)!r}: {shortened(printable(str(error)))}{remedy}") from error
     if len(rest) and unnamed is None:
         place = ", ".join(f"{c:.6g}" for c in rest[0])
         warnings.warn(f"{str(path)!r}: {len(rest)} facets of the boundary, one of them at ({place}), have no name in "
                       'the file and are called "free"; unnamed= gives them another name', stacklevel=2)
     return mesh
-
-
-def _from_netgen_file(path: Path, unit: float) -> MeshArrays:
-    """Read a mesh of Netgen."""
-    text = _unpacked(path)
-    with waiting_folder() as folder:
-        # unpacked, and with nothing behind its end: geometry may follow there
-        plain = Path(folder, "mesh.vol")
-        plain.write_bytes(text)
-        points, elements, facets, label, boundaries, body, bodies = _read("read_vol", plain)
-    for name in (*boundaries, *bodies):
-        checks.boundary_name("the name of a boundary or body", name)
-    return check_stranger(normalised(unit * points, elements, facets, label, boundaries, body, bodies))
-
-
-def _unpacked(path: Path) -> bytes:
-    """The bytes of a file up to the end of its mesh."""
-    data = read_bytes(path)
-    if path.suffix == ".gz":
-        limit = _MAX_PACKING * len(data) + 2**20
-        try:
-            with gzip.open(io.BytesIO(data)) as stream:
-                data = stream.read(limit + 1)
-        except (OSError, EOFError, zlib.error) as error:
-            raise ValueError(f"it cannot be unpacked: {error}") from error
-        if len(data) > limit:
-            raise ValueError(f"it unpacks to more than {_MAX_PACKING} times its size")
-    mesh, end, _ = data.replace(b"\r\n", b"\n").partition(b"\nendmesh")
-    if not re.match(rb"(\s|#[^\n]*\n)*mesh3d\s", mesh):
-        raise ValueError("it does not begin with 'mesh3d'")
-    if not end:
-        raise ValueError("it is cut off: the keyword 'endmesh' is missing")
-    counts = map(int, re.findall(rb"^[a-z]\w*\s*\n\s*(\d+)\s*$", mesh, re.MULTILINE))
-    if max(counts, default=0) > mesh.count(b"\n"):
-        raise ValueError("a section says more lines than the file has")
-    return mesh + end + b"\n"

@@ -13,7 +13,6 @@ from damage import outcome
 from gmsh_file import write
 from netgen.csg import unit_cube
 from netgen.geom2d import SplineGeometry
-from netgen_text import VOL
 
 from adaptmg.mesh import as_mesh, check_mesh, from_file, from_ngsolve, structured
 from adaptmg.problem import Assembly, Box, Rectangle
@@ -66,20 +65,18 @@ def test_groups_without_names_and_second_order(tmp_path):
     assert len(mesh.elements) == 4 and [len(mesh.boundary_facets(name)) for name in ("3", "5")] == [4, 2]
 
 
-def test_old_versions_comments_and_groups_of_some(tmp_path):
+def test_comments_groups_of_some_and_several_groups(tmp_path):
     path = tmp_path / "m.msh"
-    comment = "$Comments\nof $Nodes\n$EndComments\n"
     old = mesh_files.MSH2.replace("2.2 0 8", "2.1 0 8").replace("$Nodes", "$Comment\n of others\n$EndComment\n$Nodes")
-    four = mesh_files.MSH4
-    for new, dated in (("4.1 0 8", "4 0 8"), ("1 4 1 4\n2 1 0 4", "1 4\n1 2 0 4"), ("2 6 1 6", "2 6"),
-                       ("2 1 2 2\n", "1 2 2 2\n"), ("1\n2\n3\n4\n0 0 0\n2 0 0\n2 1 0\n0 1 0",
-                                                   "1 0 0 0\n2 2 0 0\n3 2 1 0\n4 0 1 0")):
-        four = four.replace(new, dated)
-    partly = mesh_files.MSH4.replace(" 1 5 0\n", " 0 0\n")
-    for text, boundaries in ((comment + old, ("side", "top")), (four, ("rim",)), (partly, ("free",))):
+    both = mesh_files.MSH4.replace(" 1 5 0\n", " 2 5 6 0\n").replace('2\n1 5 "rim"', '3\n1 5 "rim"\n1 6 "all"')
+    for text, boundaries, chosen in (("$Comments\nof $Nodes\n$EndComments\n" + old, ("side", "top"), None),
+                                     (both, ("rim",), None), (both, ("all",), ["all"])):
         path.write_text(text)
-        mesh = from_file(path, unnamed="free", unit=0.5)
+        mesh = from_file(path, unnamed="free", unit=0.5, boundaries=chosen)
         assert mesh.bodies == ("steel",) and mesh.boundaries == boundaries and mesh.volumes.sum() == 0.5
+    path.write_text(mesh_files.MSH4.replace(" 1 5 0\n", " 0 0\n"))
+    with pytest.raises(ValueError, match=r"m.msh.*gmsh:physical.*write it as MSH 2.2"):
+        from_file(path)
 
 
 def test_what_gmsh_files_must_hold(tmp_path):
@@ -87,7 +84,7 @@ def test_what_gmsh_files_must_hold(tmp_path):
     with pytest.raises(FileNotFoundError, match="no file"):
         from_file(path)
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1.0]])
-    for kind, nodes, message in (("triangle10", [[0, 1, 2, 3] * 2 + [0, 1]], "elements of the type 21 of Gmsh"),
+    for kind, nodes, message in (("triangle10", [[0, 1, 2, 3] * 2 + [0, 1]], "it holds triangle10; elements must be"),
                                  ("line", [[0, 1]], "neither triangles and quadrilaterals nor"),
                                  ("triangle", [[0, 1, 2], [0, 2, 3]], "not in a plane z = constant")):
         meshio.write(path, meshio.Mesh(corners, [(kind, np.array(nodes))]), "gmsh22")
@@ -208,7 +205,7 @@ def test_netgen_files_are_read_as_netgen_reads_them(tmp_path, make):
 
 
 def test_every_cut_is_noticed(tmp_path):
-    for name, text in (("cut.vol", VOL), ("cut.msh", mesh_files.MSH2)):
+    for name, text in (("cut.vol", mesh_files.VOL), ("cut.msh", mesh_files.MSH2)):
         for k in range(0, len(text) - 15, 37):
             (tmp_path / name).write_text(text[:k])
             with pytest.raises(ValueError, match=re.escape(name)):
@@ -222,10 +219,10 @@ def test_damaged_files_are_read_soundly_or_refused(tmp_path):
     assert {row["why"] == "read" for row in rows} == {True, False}
 
 
-@pytest.mark.parametrize("name", ["a.vol", "b.msh", "c.msh", "d.vol.gz", "e.vol"])
-def test_hostile_files_are_sound_before_they_are_damaged(tmp_path, name):
-    text = {"a": VOL, "b": mesh_files.MSH2, "c": mesh_files.MSH4, "d": gzip.compress(VOL.encode()),
-            "e": VOL.replace("\n", "\r\n") + "geometry\n"}[name[0]]
-    (tmp_path / name).write_bytes(text.encode() if isinstance(text, str) else text)
+@pytest.mark.parametrize(("name", "text"), [
+    ("a.vol", mesh_files.VOL), ("b.msh", mesh_files.MSH2), ("c.msh", mesh_files.MSH4),
+    ("e.vol", mesh_files.VOL.replace("\n", "\r\n") + "geometry\n")])
+def test_hostile_files_are_sound_before_they_are_damaged(tmp_path, name, text):
+    (tmp_path / name).write_bytes(text.encode())
     mesh = as_mesh(tmp_path / name)
     assert mesh.volumes.sum() == 2 and mesh.bodies == ("steel",)

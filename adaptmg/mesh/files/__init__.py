@@ -1,1 +1,0 @@
-"""Readers of mesh files, and what they read made into meshes."""
