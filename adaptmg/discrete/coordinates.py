@@ -33,6 +33,7 @@ from scipy import sparse
 from adaptmg._check_arrays import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.inclined import Inclined
+from adaptmg.problem.laws import Law
 
 #: the largest weight that counts as none
 NEGLIGIBLE = 1e-6
@@ -128,6 +129,23 @@ def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
     result = sparse.csr_array(rows, copy=True)
     result.data = np.maximum(result.data, 0.0)
     return result
+
+
+def held_slaves(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray, law: Law,
+                inclined: Inclined | None = None) -> np.ndarray:
+    """Return the numbers of the contact nodes that a support holds along the surface, not so what they face, where
+    friction acts: their slip is no unknown of theirs."""
+    fixed = fixed.reshape(weights.shape[0], -1)
+    limit, friction = law.bounds(len(nodes))
+    rows = sparse.csr_array(weights[nodes])
+    acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (np.diff(rows.indptr) > 0)
+    facing = facing_part(rows)
+    held = (fixed[nodes] & (facing @ fixed.astype(float) <= NEGLIGIBLE)).any(axis=1)
+    if inclined is not None:
+        either = fixed.any(axis=1)
+        either[inclined.nodes] = True
+        held |= np.isin(nodes, inclined.nodes) & (facing @ either.astype(float) <= NEGLIGIBLE)
+    return np.flatnonzero(acts & held)
 
 
 class Unknowns:

@@ -38,8 +38,8 @@ from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
 from adaptmg._on_demand import OnDemand
 from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
+from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import Materials, body_materials
-from adaptmg.discrete.exchange import ScaledLaw, find_carriers
 from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
@@ -194,7 +194,7 @@ def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
                  ) -> DiscreteProblem:
     """Discretise as :func:`discretise` does; ``old``, that of a problem that differs in the parts ``changed`` and in
     the law, gives what only loads and law leave unchanged."""
-    posed = old.contact if old.exchange is None else old.exchange.contact
+    posed = old.contact
     if changed - {"loads"} or posed.slip_reference.any() or (changed and old.inclined is not None):
         return discretise(problem, mesh)
     problem.check_boundaries(mesh.boundaries)
@@ -202,12 +202,11 @@ def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem
     law = _nodal_law(problem, mesh, posed)
     check_bounds(law, len(posed))
     if old.coupling is not None:
-        # what slave nodes are exchanged for depends on where friction acts
+        # which slave nodes carry multipliers depends on where friction acts
         acts = [np.maximum(*one.bounds(len(posed))) > 0 for one in (law, old.law)]
         if not np.array_equal(*acts):
             return discretise(problem, mesh)
-    parts = {"law": law if old.exchange is None else ScaledLaw(law, np.abs(old.exchange.sigma)),
-             "name": f"{problem.name}, {mesh.n_nodes} nodes"}
+    parts = {"law": law, "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if changed:
         materials = body_materials(mesh, problem.material)
         load = old.relative_forces(load_vector(mesh, problem.loads, materials, problem.elements))
@@ -228,7 +227,7 @@ def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) ->
 
 def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, held: HeldNodes,
              ties: Sequence[MortarInterface]) -> tuple[ContactNodes, sparse.csr_array | None, Stops | None]:
-    """Contact nodes and what they face; without slave nodes that should be exchanged for others and cannot."""
+    """Contact nodes and what they face; without slave nodes that supports hold along the surface."""
     excluded = np.empty(0, dtype=np.int64)
     while True:
         contact, weights, stops = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded,
@@ -236,12 +235,14 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
         if weights is None:
             return contact, None, stops
         law = _nodal_law(problem, mesh, contact)
-        unmatched = find_carriers(contact.nodes, weights, held.fixed.reshape(-1), law, held.inclined)[2]
-        if not len(unmatched):
+        lone = held_slaves(contact.nodes, weights, held.fixed.reshape(-1), law, held.inclined)
+        if not len(lone):
             return contact, weights, stops
-        excluded = np.union1d(excluded, contact.nodes[unmatched])
-        _LOG.info("%d slave nodes of %r with a supported tangential component carry no multiplier: the master is too "
-                  "coarse there", len(unmatched), problem.name)
+        for k in np.unique(contact.boundary[lone]):
+            if any(one.boundary == contact.names[k] for one in problem.supports):
+                raise ValueError(f"a support holds slave {contact.names[k]!r} along its surface, where friction acts: "
+                                 "exchange slave and master of the pair")
+        excluded = np.union1d(excluded, contact.nodes[lone])
 
 
 def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:

@@ -28,7 +28,7 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
     if not now:
         return discrete
     held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
-    contact, exchange = discrete.contact, discrete.exchange
+    contact = discrete.contact
     normals, gaps, reference = contact.normals.copy(), contact.gaps.copy(), contact.slip_reference.copy()
     stops = discrete.stops
     for k, obstacle in now.items():
@@ -43,10 +43,5 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _ROUNDING
     new = replace(contact, normals=normals if turned else contact.normals, gaps=gaps, slip_reference=reference,
                   allow_interference=True)
-    if exchange is not None:  # the contact of obstacles stands in the same places, and is not exchanged
-        rows = np.isin(contact.boundary, list(now))[:, None]
-        posed = replace(exchange.contact, normals=np.where(rows, new.normals, exchange.contact.normals),
-                        gaps=np.where(rows[:, 0], gaps, exchange.contact.gaps), allow_interference=True)
-        exchange = replace(exchange, contact=posed)
-    result = discrete.facing(new, exchange) if turned else discrete.posing(contact=new, exchange=exchange)
+    result = discrete.facing(new) if turned else discrete.posing(contact=new)
     return result.posing(stops=stops)

@@ -37,8 +37,7 @@ from adaptmg.discrete.contact_nodes import (
     checked_matrix,
     largest_entry,
 )
-from adaptmg.discrete.coordinates import Coupling, Unknowns
-from adaptmg.discrete.exchange import Exchange, exchanged
+from adaptmg.discrete.coordinates import Coupling, Unknowns, held_slaves
 from adaptmg.discrete.inclined import Inclined
 from adaptmg.discrete.obstacles import Stops
 from adaptmg.discrete.rigid_modes import rigid_body_modes
@@ -85,9 +84,6 @@ class DiscreteProblem(Unknowns):
         (:mod:`adaptmg.discrete.ties`).
     stops : Stops, optional
         Obstacles that what supports prescribe must not cross (:mod:`adaptmg.discrete.obstacles`).
-    exchange : Exchange, optional
-        Contact as it was posed where slave and master were exchanged at single nodes
-        (:mod:`adaptmg.discrete.exchange`).
     volumes : Volumes, optional
         Of nearly incompressible bodies the groups of nodes whose mean volume strains add to the stiffness
         (:mod:`adaptmg.discrete.volumes`).
@@ -114,7 +110,6 @@ class DiscreteProblem(Unknowns):
     name: str = "discrete problem"
     coupling: Coupling | None = None
     bodies: Mapping[str, np.ndarray] | None = None
-    exchange: Exchange | None = None
     strain_free: tuple[np.ndarray, float] | None = None
     inclined: Inclined | None = None
     ties: tuple[tuple[str, str, np.ndarray], ...] = ()
@@ -126,7 +121,7 @@ class DiscreteProblem(Unknowns):
                      contact: ContactNodes, fixed_values: ArrayLike | None = None,
                      coordinates: ArrayLike | None = None, near_nullspace: ArrayLike | None = None,
                      name: str = "discrete problem", coupling: Coupling | None = None,
-                     bodies: Mapping[str, np.ndarray] | None = None, exchange: Exchange | None = None,
+                     bodies: Mapping[str, np.ndarray] | None = None,
                      strain_free: tuple[np.ndarray, float] | None = None, inclined: Inclined | None = None,
                      volumes: Volumes | None = None) -> None: ...
 
@@ -229,9 +224,9 @@ class DiscreteProblem(Unknowns):
             object.__setattr__(result, name, value)
         return result
 
-    def facing(self, contact: ContactNodes, exchange: Exchange | None) -> DiscreteProblem:
+    def facing(self, contact: ContactNodes) -> DiscreteProblem:
         """Return the same with contact in other directions."""
-        result = self.posing(contact=contact, exchange=exchange)
+        result = self.posing(contact=contact)
         result._check_fixed_at_contact()
         result._complete()
         return result
@@ -260,8 +255,7 @@ class DiscreteProblem(Unknowns):
         matrix = checked_matrix(self.matrix, dim)
         n = matrix.shape[0]
         self.contact.check_nodes(n // dim)
-        if self.exchange is None:
-            self.contact.check_name_contact()
+        self.contact.check_name_contact()
         fixed = checked_mask("fixed", self.fixed, n)
         values = np.zeros(n) if self.fixed_values is None else self.fixed_values
         if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
@@ -336,8 +330,12 @@ def _check_row_sums(weights: sparse.csr_array) -> None:
 
 def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -> dict[str, Any]:
     """The parts of a problem of several bodies, which have been checked, with their coupling."""
-    contact, weights, law, exchange = exchanged(parts["contact"], weights, parts["fixed"], parts["law"],
-                                                  parts.get("inclined"))
+    nodes = parts["contact"].nodes
+    held = held_slaves(nodes, weights, parts["fixed"], parts["law"], parts.get("inclined"))
+    if len(held):
+        raise ValueError(f"contact: slave node {nodes[held[0]]} has a supported tangential component, and what it "
+                         "faces has not: exchange slave and master, or leave the node out and let its neighbours take "
+                         "its part")
     coupling, modes = Coupling(weights, parts["fixed"], parts.get("inclined")), parts["near_nullspace"]
     if isinstance(modes, OnDemand):
         modes = OnDemand(partial(_relative_modes, modes))
@@ -355,9 +353,8 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
         for *_, nodes in parts["ties"]:
             tied[nodes] = True
         parts = parts | {"fixed": tied.reshape(-1)}
-    return parts | {"matrix": coupling.transformed(parts["matrix"]), "load": load, "law": law, "contact": contact,
-                    "near_nullspace": modes, "coupling": coupling, "exchange": exchange, "strain_free": strain_free,
-                    "volumes": volumes}
+    return parts | {"matrix": coupling.transformed(parts["matrix"]), "load": load, "near_nullspace": modes,
+                    "coupling": coupling, "strain_free": strain_free, "volumes": volumes}
 
 
 def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:

@@ -62,14 +62,8 @@ class GoalView:
 
     @property
     def touching(self) -> ContactNodes:
-        """The contact nodes as they were posed."""
-        return (self.discrete.exchange or self.discrete).contact
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """The quotient (n_contact,) of displacements there and in the equations, see :class:`Exchange`."""
-        exchange = self.discrete.exchange
-        return np.ones(len(self.contact.nodes)) if exchange is None else exchange.sigma
+        """The contact nodes."""
+        return self.discrete.contact
 
     def load_of(self, nodal: np.ndarray) -> np.ndarray:
         """Return a functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative coordinates."""
@@ -88,7 +82,7 @@ class GoalView:
         slips[self.touching.nodes], states[self.touching.nodes] = self.touching.slip_reference, self.contact.state
         discrete = discretise(self.problem, mesh, slip_reference=_halved(mesh, slips, _mean))
         u, states = _halved(mesh, self.displacement, _mean), _halved(mesh, states, _looser)
-        at = (discrete.exchange or discrete).contact.nodes
+        at = discrete.contact.nodes
         contact = linearised_contact(discrete, u, np.where(states[at] == _NONE, State.OPEN, states[at]))
         # the forces that bend slips are not known at new nodes
         contact = replace(contact, hessian=np.zeros_like(contact.hessian))
@@ -270,6 +264,17 @@ def _contact_mask(contact: ContactNodes, name: str) -> tuple[np.ndarray, float]:
                      f"{', '.join(map(repr, pairs))}")
 
 
+def _on_slaves(view: GoalView) -> np.ndarray:
+    """The share (n_contact,) of contact forces that slaves bear; the rest they pass to nodes without a multiplier."""
+    contact, coupling = view.touching, view.discrete.coupling
+    share = np.ones(len(contact))
+    for k, name in enumerate(contact.names if coupling is not None else ()):
+        own = contact.boundary == k
+        rows = coupling.weights[contact.nodes[own]]
+        share[own] -= np.asarray(rows[:, view.mesh.boundary_nodes(name)].sum(axis=1)).ravel()
+    return share
+
+
 @dataclass(frozen=True)
 class ContactForce:
     """Force through a contact boundary, a sum over nodes.
@@ -314,17 +319,16 @@ class ContactForce:
         """The directions d (n_dofs,)."""
         contact, dim = view.contact, view.mesh.dim
         mine, sign = _contact_mask(view.touching, self.boundary)
-        local, named = np.zeros((len(mine), dim)), self.direction in ("normal", "tangential")
-        if not named:
-            local[mine] = sign * contact.frames[mine, :, _axis("direction", self.direction, dim)]
+        local = np.zeros((len(mine), dim))
+        if self.direction not in ("normal", "tangential"):
+            share, k = sign * mine * _on_slaves(view), _axis("direction", self.direction, dim)
+            local = share[:, None] * contact.frames[:, :, k]
         elif self.direction == "normal":
             local[mine, 0] = -1.0
         elif dim == 3:
             raise ValueError("direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2")
         else:
             local[mine, 1] = 1.0
-        # forces on the node that was posed are those of the equations over sigma
-        local = local / (np.abs(view.sigma) if named else view.sigma)[:, None]
         vector = np.zeros((view.discrete.n_nodes, dim))
         vector[contact.nodes] = from_frames(contact.frames, local)
         # where a support holds, the force of contact cannot be separated from its reaction
@@ -376,8 +380,6 @@ class Opening:
         else:
             facets = np.concatenate([mesh.boundary_facets(posed.names[k]) for k in np.unique(posed.boundary[mine])])
             weights, name = self._at_point(view, facets), f"opening of {self.boundary!r} at {_place(self.point)}"
-        # gaps of the node that was posed are those of the equations times sigma
-        weights = weights * np.abs(view.sigma)
         vector = np.zeros((view.discrete.n_nodes, mesh.dim))
         vector[contact.nodes] = -weights[:, None] * contact.frames[:, 0]
         return [Functional(name, float(weights @ contact.gap), "m", vector.reshape(-1))]

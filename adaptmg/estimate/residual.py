@@ -145,10 +145,8 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
 
 def _friction(this: Posed, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Limits (n,) of the friction and its tractions (n, dim), Cartesian, which obey the law for the slip, Pa."""
-    contact, exchange = this.result.contact, this.discrete.exchange
+    contact = this.result.contact
     fixed, _ = this.discrete.law.bounds(len(contact))
-    if exchange is not None:
-        fixed = fixed / np.abs(exchange.sigma)
     limit, length = np.where(opens, fixed, contact.limit), np.linalg.norm(contact.slip, axis=1)
     moves = (contact.state != State.STICK) & (length > _STILL * np.abs(this.result.displacement).max(initial=0.0))
     along = np.where(moves[:, None], -contact.slip, contact.force_t)

@@ -207,8 +207,8 @@ class Posed:
         allowed = max(_LOADS_AGREE * max(euclidean_norm(forces), euclidean_norm(load)), rounding)
         if not min(euclidean_norm(load - expected), euclidean_norm(load - posed)) <= allowed:
             raise ValueError("result has other loads than those of hierarchy.problem: " + _OTHER_STEP)
-        posed, own = self.discrete.exchange or self.discrete, self.result.contact
-        left = own.gap + own.u_n - posed.contact.gaps
+        own = self.result.contact
+        left = own.gap + own.u_n - self.discrete.contact.gaps
         if np.abs(left).max(initial=0.0) > _LOADS_AGREE * np.abs([own.gap, own.u_n]).max(initial=0.0):
             raise ValueError("result has its obstacles in other places than hierarchy.problem: " + _OTHER_STEP)
 

@@ -179,10 +179,7 @@ class Evidence:
     def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims,
                  known: Known | None = None, pressures: np.ndarray | None = None) -> None:
         self.problem, self.contact, self.pressures = problem, contact, pressures
-        # contact as it was posed: between held bodies the problem may have nodes of the master in its place
-        self.posed = problem.contact if problem.exchange is None else problem.exchange.contact
-        self.nodes = self.posed.nodes
-        self.sigma = np.ones(len(self.nodes)) if problem.exchange is None else problem.exchange.sigma
+        self.nodes = problem.contact.nodes
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
@@ -196,12 +193,11 @@ class Evidence:
         self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), energy**2)))
         self.fixed = problem.fixed.reshape(shape)
         self.stiffness = np.diagonal(self.diagonal[problem.contact.nodes], axis1=1, axis2=2).max(axis=1)
-        self.normals = self.posed.normals
+        self.normals = problem.contact.normals
         self.claimed = from_frames(contact.frames, np.column_stack([-contact.force_n, contact.force_t]))
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
-        limit, self.coefficient = problem.law.bounds(len(self.nodes))
-        self.limit = limit / np.abs(self.sigma)
+        self.limit, self.coefficient = problem.law.bounds(len(self.nodes))
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
         # what holds ties is as large as it must be; its counterpart on masters is not a violation
@@ -229,17 +225,15 @@ class Evidence:
         """Gap (n,) and slip (n, dim) against the obstacle, or the other body."""
         problem, moved = self.problem, self.u[self.nodes]
         if problem.coupling is not None:
-            rows = problem.coupling.weights[self.nodes] if problem.exchange is None else problem.exchange.weights
-            moved = moved - rows @ self.u
+            moved = moved - problem.coupling.weights[self.nodes] @ self.u
             for at, weights, c in problem.held_together():
                 moved[at, c] = self.u[self.nodes[at], c] - weights @ self.u[:, c]
         if problem.inclined is not None:
             moved = problem.inclined.free_part(self.nodes, moved)
         u_n = np.einsum("nd,nd->n", moved, self.normals)
-        # a load step changes the reference of the nodes in the equations
-        along = moved - problem.contact.slip_reference * self.sigma[:, None]
+        along = moved - problem.contact.slip_reference
         slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals
-        return self.posed.gaps - u_n, slip
+        return problem.contact.gaps - u_n, slip
 
     def _forces(self, name: str, forces: np.ndarray) -> Condition:
         total = float(np.linalg.norm(forces))
@@ -312,12 +306,9 @@ class Evidence:
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
         """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
         Overwrites what is unexplained, and the diagonal blocks."""
-        problem, sigma = self.problem, self.sigma[:, None]
         rounding = 32 * _EPSILON * self.tally.stiff_energy
-        # at the nodes that carry the conditions in the equations
-        here = AtNodes(self.gap / np.abs(self.sigma), self.slip / sigma, self.pressure * np.abs(self.sigma),
-                        self.friction * sigma)
-        forces = problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
+        here = AtNodes(self.gap, self.slip, self.pressure, self.friction)
+        forces = self.problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
         negligible = (_NEGLIGIBLE * rtol * self.energy) ** 2
         error, wrong = self._held(here, self.unknowns, forces, self.diagonal, aggregates, negligible)
         if wrong and aggregates is not None and not error <= rounding:
@@ -351,7 +342,7 @@ class Evidence:
         is missing after it with the status held; ``held``: what is missing without it."""
         problem, contact, matrix = self.problem, self.problem.contact, self.problem.matrix
         residual = problem.under(self.pressures).load - matrix @ self.unknowns.reshape(-1)
-        found = changed_status(problem, residual, here, self.stiffness, self.limit * np.abs(self.sigma))
+        found = changed_status(problem, residual, here, self.stiffness, self.limit)
         if found is None:
             return held
         change, exerted = found
@@ -379,7 +370,7 @@ class Evidence:
         closed = d * gap**2 < np.maximum(pressure, 0.0) ** 2 / d + d * np.minimum(gap, 0.0) ** 2
         closed |= gap < 0
         size = np.linalg.norm(slip, axis=1)
-        limit = self.limit * np.abs(self.sigma) + np.where(closed, self.coefficient * np.maximum(pressure, 0.0), 0.0)
+        limit = self.limit + np.where(closed, self.coefficient * np.maximum(pressure, 0.0), 0.0)
         against = -_directions(slip)
         excess = np.maximum(np.linalg.norm(friction, axis=1) - limit, 0.0)
         turned = limit[:, None] * against * free

@@ -126,26 +126,14 @@ def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.nd
     limit = nodal.limit + nodal.friction * force_n
     state = states(nodal, values, force_n, small)
     _friction_at_supports(held, slip, limit, small, force_t, state)
-    posed, weights, size = contact, None, np.ones(len(contact))
-    if discrete.coupling is not None:
-        weights = discrete.coupling.weights[contact.nodes]
-    if discrete.exchange is not None:
-        posed, weights, size = discrete.exchange.contact, discrete.exchange.weights, np.abs(discrete.exchange.sigma)
-        frames = frames * np.sign(discrete.exchange.sigma)[:, None, None]
-        if discrete.dim == 3:  # right-handed again
-            back = np.where(discrete.exchange.sigma < 0, -1.0, 1.0)
-            frames[:, 2] *= back[:, None]
-            for values in (u[:, 1:], slip, force_t):
-                values[:, 1] *= back
-    u, slip, gap = u * size[:, None], slip * size[:, None], (contact.gaps - u[:, 0]) * size
-    force_n, force_t, limit = force_n / size, force_t / size[:, None], limit / size
-    x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[posed.nodes]
+    weights = None if discrete.coupling is None else discrete.coupling.weights[contact.nodes]
+    x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[contact.nodes]
     carried = from_frames(frames, np.column_stack([-force_n, force_t]))
-    boundary, node, on_masters = _on_followed(discrete, posed.boundary, weights, carried)
-    return ContactResult(node=posed.nodes, x=x, frames=frames.copy(), gap=gap, u_n=u[:, 0], u_t=u[:, 1:], slip=slip,
-                         force_n=force_n, force_t=force_t, weights=posed.weights, limit=limit, state=state,
-                         boundary=posed.boundary, names=posed.names, masters=posed.masters, master_node=node,
-                         master_force=on_masters, master_boundary=boundary)
+    boundary, node, on_masters = _on_followed(discrete, contact.boundary, weights, carried)
+    return ContactResult(node=contact.nodes, x=x, frames=frames.copy(), gap=contact.gaps - u[:, 0], u_n=u[:, 0],
+                         u_t=u[:, 1:], slip=slip, force_n=force_n, force_t=force_t, weights=contact.weights,
+                         limit=limit, state=state, boundary=contact.boundary, names=contact.names,
+                         masters=contact.masters, master_node=node, master_force=on_masters, master_boundary=boundary)
 
 
 def _friction_at_supports(held: np.ndarray, slip: np.ndarray, limit: np.ndarray, small: float, force_t: np.ndarray,

@@ -28,7 +28,7 @@ def made(mesh: MeshArrays) -> Posed:
         material=kind(young=1e11, poisson=0.2), law=am.Coulomb(1.0),
         contact=am.Contact("bottom", am.Plane((0.0,) * dim, tuple(np.eye(dim)[dim - 1]))))
     result = result_on(mesh, stress_data=StressData.of(mesh, problem.material))
-    return Posed(problem, mesh, SimpleNamespace(law=problem.law, exchange=None), result)
+    return Posed(problem, mesh, SimpleNamespace(law=problem.law), result)
 
 
 @pytest.mark.parametrize("mesh", [square(6), cube(3)], ids=["2D", "3D"])

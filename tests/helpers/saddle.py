@@ -25,11 +25,10 @@ class Parts:
     @classmethod
     def of(cls, problem, mesh, slip_reference=None):
         discrete = am.discretise(problem, mesh, slip_reference=slip_reference)
-        posed, n = discrete.exchange, mesh.n_nodes
-        contact = discrete.contact if posed is None else posed.contact
+        contact, n = discrete.contact, mesh.n_nodes
         weights = sparse.csr_array((n, n))
         if discrete.coupling is not None:
-            rows = discrete.coupling.weights[contact.nodes] if posed is None else posed.weights
+            rows = discrete.coupling.weights[contact.nodes]
             place = sparse.csr_array((np.ones(len(contact)), (contact.nodes, np.arange(len(contact)))),
                                      shape=(n, len(contact)))
             weights = sparse.csr_array(place @ rows)
