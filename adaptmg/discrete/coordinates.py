@@ -32,7 +32,7 @@ from scipy import sparse
 
 from adaptmg._check_arrays import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
-from adaptmg.discrete.inclined import Inclined
+from adaptmg.discrete.supports import Inclined
 from adaptmg.problem.laws import Law
 
 #: the largest weight that counts as none

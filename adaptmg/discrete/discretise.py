@@ -37,16 +37,14 @@ from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._blas import one_blas_thread
 from adaptmg._on_demand import OnDemand
-from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
+from adaptmg.discrete.contact_nodes import Stops, bounded, check_bounds, check_size
 from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import Materials, body_materials
-from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.discrete.obstacles import (
     TANGENTIAL,
-    Stops,
     free_normals,
     in_front_of,
     lumped_masses,
@@ -55,10 +53,9 @@ from adaptmg.discrete.obstacles import (
 )
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.discrete.rigid_modes import nodes_of_pieces, rigid_motions
-from adaptmg.discrete.sides import with_sides
+from adaptmg.discrete.sides import jump_of, tie_interfaces, with_sides
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import fixed_dofs, inclined_supports, supported_nodes
-from adaptmg.discrete.ties import jump_of, tie_interfaces
+from adaptmg.discrete.supports import HeldNodes, fixed_dofs, inclined_supports, supported_nodes
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem

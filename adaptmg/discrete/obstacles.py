@@ -8,58 +8,23 @@ is no contact; the motion that it prescribes must end before the obstacle. The f
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg.discrete.inclined import HeldNodes
+from adaptmg.discrete.contact_nodes import ROUNDING, Stops
 from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
-from adaptmg.discrete.supports import held_directions
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.supports import HeldNodes, held_directions
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.surfaces import ContactPair, Moving, Obstacle, Rigid
 
-_ROUNDING = 1e-12  # of the body's size: a negative gap below this is rounding, not interference
 TANGENTIAL = 1e-8  # a component of a unit normal below this is none
-
-
-@dataclass(frozen=True, eq=False)
-class Stops:
-    """Obstacles in front of nodes that supports hold, which must lie on the right side of them."""
-
-    nodes: np.ndarray  # (n,) int
-    normals: np.ndarray  # (n, dim)
-    gaps: np.ndarray  # (n,), m
-    boundary: np.ndarray  # (n,) of str
-
-    @classmethod
-    def together(cls, parts: list[Stops]) -> Stops | None:
-        """Return the stops of several boundaries, None if there is none."""
-        if not any(len(part.nodes) for part in parts):
-            return None
-        return cls(*(np.concatenate([getattr(part, name) for part in parts])
-                     for name in ("nodes", "normals", "gaps", "boundary")))
-
-    def moved(self, obstacle: Obstacle, boundary: str, points: np.ndarray, outward: np.ndarray, contact: np.ndarray
-              ) -> Stops:
-        """Return the same with an obstacle in another place; ``points`` and normals ``outward`` (n_nodes, dim) are
-        those of the mesh. Nodes that are among those in ``contact`` are stopped by what holds them in part."""
-        own = np.flatnonzero((self.boundary == boundary) & ~np.isin(self.nodes, contact))
-        normals, gaps, nodes = self.normals.copy(), self.gaps.copy(), self.nodes[own]
-        normals[own], gaps[own] = facing_obstacle(obstacle, boundary, points[nodes], outward[nodes])
-        return replace(self, normals=normals, gaps=gaps)
-
-    def check(self, moved: np.ndarray) -> None:
-        """Raise ValueError if the prescribed part of a displacement (n_nodes, dim) crosses an obstacle."""
-        own = moved[self.nodes]
-        over = np.einsum("nd,nd->n", self.normals, own) - self.gaps
-        over -= _ROUNDING * (np.abs(own).max(axis=1, initial=0.0) + np.abs(self.gaps))
-        if (over > 0).any():
-            i = int(np.argmax(over))
-            raise ValueError(f"a support holds node {self.nodes[i]} of contact boundary {str(self.boundary[i])!r} "
-                             f"{over[i]:.6g} m inside its obstacle: move the support less, or the obstacle")
+_TURNED = 1e-14  # normals that turn by less than this do not
 
 
 def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
@@ -73,7 +38,7 @@ def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, sur
     normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
     gaps = np.array(gaps, dtype=np.float64)
     if len(nodes) and gaps.min() < 0:
-        gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
+        gaps[(gaps < 0) & (gaps > -ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
     if len(nodes) and gaps.min() < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))
         raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
@@ -174,3 +139,35 @@ def with_motions(problem: ContactProblem, points: np.ndarray, boundary: np.ndarr
             reference, own = np.zeros_like(points) if reference is None else reference.copy(), boundary == k
             reference[own] += obstacle.motion(points[own])
     return reference
+
+
+def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, now: Mapping[int, Moving],
+          before: Mapping[int, Moving]) -> DiscreteProblem:
+    """Return the problem with obstacles, by the number of their contact, in the places ``now``.
+
+    Slip counts from where they were ``before``.
+    """
+    if not now:
+        return discrete
+    held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
+    contact = discrete.contact
+    normals, gaps, reference = contact.normals.copy(), contact.gaps.copy(), contact.slip_reference.copy()
+    stops = discrete.stops
+    for k, obstacle in now.items():
+        own = np.flatnonzero(contact.boundary == k)
+        points, boundary = mesh.points[contact.nodes[own]], problem.contact[k].boundary
+        outward = slave_normals(mesh.surface(boundary), held)
+        direct, gap = facing_obstacle(obstacle, boundary, points, outward[contact.nodes[own]])
+        if stops is not None:
+            # nodes that are among those in contact are stopped by what holds them in part
+            mine = np.flatnonzero((stops.boundary == boundary) & ~np.isin(stops.nodes, contact.nodes))
+            at, directions, away = stops.nodes[mine], stops.normals.copy(), stops.gaps.copy()
+            directions[mine], away[mine] = facing_obstacle(obstacle, boundary, mesh.points[at], outward[at])
+            stops = replace(stops, normals=directions, gaps=away)
+        normals[own], gaps[own] = along_free(held.free_part(contact.nodes[own], direct), direct, gap)
+        reference[own] += obstacle.motion(points) - before[k].motion(points)
+    turned = np.abs(normals - contact.normals).max(initial=0.0) > _TURNED
+    new = replace(contact, normals=normals if turned else contact.normals, gaps=gaps, slip_reference=reference,
+                  allow_interference=True)
+    result = discrete.facing(new) if turned else discrete.posing(contact=new)
+    return result.posing(stops=stops)

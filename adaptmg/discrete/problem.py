@@ -29,6 +29,7 @@ from adaptmg._on_demand import OnDemand, Token, made_on_demand, remembered
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     ContactNodes,
+    Stops,
     bounded,
     check_bounds,
     check_size,
@@ -38,9 +39,8 @@ from adaptmg.discrete.contact_nodes import (
     largest_entry,
 )
 from adaptmg.discrete.coordinates import Coupling, Unknowns, held_slaves
-from adaptmg.discrete.inclined import Inclined
-from adaptmg.discrete.obstacles import Stops
 from adaptmg.discrete.rigid_modes import rigid_body_modes
+from adaptmg.discrete.supports import Inclined
 from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import Law, check_law
 
@@ -78,12 +78,12 @@ class DiscreteProblem(Unknowns):
         Of initial strains the part of ``load``, N, and the energy of suppressing them, N m; see :meth:`stress_energy`.
     inclined : Inclined, optional
         Supports along directions that are no axes, which are eliminated from matrix and load
-        (:mod:`adaptmg.discrete.inclined`).
+        (:mod:`adaptmg.discrete.supports`).
     ties : tuple of (str, str, (n,) int array)
         Slave and master boundary, and slave nodes whose relative displacement is fixed to zero
-        (:mod:`adaptmg.discrete.ties`).
+        (:mod:`adaptmg.discrete.sides`).
     stops : Stops, optional
-        Obstacles that what supports prescribe must not cross (:mod:`adaptmg.discrete.obstacles`).
+        Obstacles that what supports prescribe must not cross (:class:`~adaptmg.discrete.contact_nodes.Stops`).
     volumes : Volumes, optional
         Of nearly incompressible bodies the groups of nodes whose mean volume strains add to the stiffness
         (:mod:`adaptmg.discrete.volumes`).

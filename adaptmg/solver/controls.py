@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from adaptmg.discrete.cut import cut_force, cut_stiffness
+from adaptmg.discrete.stress import cut_force, cut_stiffness
 from adaptmg.level import Level
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.loads import Preload

@@ -20,7 +20,7 @@ from scipy import sparse
 
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.ties import TieForces, tie_forces
+from adaptmg.discrete.sides import TieForces, tie_forces
 from adaptmg.smoother.residuals import natural_at_nodes, states
 from adaptmg.smoother.system import ContactState, NodalContact, contact_blocks, held_tangents, local_contact
 from adaptmg.solver.certificate import Certificate, certify

@@ -25,7 +25,7 @@ from adaptmg._blas import one_blas_thread
 from adaptmg._files import make_folder
 from adaptmg._text import html_table, in_html_lines, say, shortened
 from adaptmg.discrete.discretise import LoadSteps, load_steps, whole_load
-from adaptmg.discrete.moving_obstacles import moved
+from adaptmg.discrete.obstacles import moved
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy

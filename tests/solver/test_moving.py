@@ -8,7 +8,7 @@ from bodies import rotation
 from scipy.spatial.transform import Rotation
 
 import adaptmg as am
-from adaptmg.discrete.cut import cut_force
+from adaptmg.discrete.stress import cut_force
 from adaptmg.mesh import structured
 from adaptmg.problem import step_problem
 

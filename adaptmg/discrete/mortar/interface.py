@@ -35,7 +35,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import sparse
 
-from adaptmg.discrete.inclined import HeldNodes
+from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import Surface
 
 NEVER_FACING = "the surfaces never face each other"

@@ -24,10 +24,10 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.inclined import HeldNodes
 from adaptmg.discrete.mortar.interface import NEVER_FACING, MortarInterface, Surfaces, slave_normals
 from adaptmg.discrete.mortar.segments import mortar_2d
 from adaptmg.discrete.mortar.triangles import mortar_3d
+from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.surfaces import ContactPair
 
