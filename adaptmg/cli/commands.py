@@ -24,7 +24,7 @@ from adaptmg._text import printable
 
 if TYPE_CHECKING:
     from adaptmg.study import Study
-    from adaptmg.study.record import Record
+    from adaptmg.study.store import Record
 
 _STORED = "finished runs are stored, the same command goes on"
 #: runs that --dry-run shows
@@ -274,8 +274,8 @@ def _report(parsed: Namespace) -> None:
     from adaptmg import _checks as checks
     from adaptmg._files import file_size, write_bytes
     from adaptmg.export import study_report
-    from adaptmg.study.record import frame
     from adaptmg.study.store import Store
+    from adaptmg.study.tables import frame
 
     file_size("STORE", checks.file_path("STORE", parsed.store))
     store = Store(parsed.store)

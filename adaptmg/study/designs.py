@@ -1,13 +1,17 @@
-"""Designs: the points of a study.
+"""Designs: the points of a study, each a dictionary of parameters, and the text that identifies a point.
 
 A grid has every combination of values; other designs are an explicit list, and samples of ranges (independent, Latin
-hypercube, Sobol sequence; :mod:`scipy.stats.qmc`). A design knows its length before it makes a point, so that one too
-large is refused in time.
+hypercube, Sobol sequence; :mod:`scipy.stats.qmc`).
+
+A point is identified by the JSON of its parameters with sorted keys: the order of the parameters does not matter.
+Values are equal where their texts are: 1, 1.0, True and "1" are four values (``1``, ``1.0``, ``true``, ``"1"``), a
+number of numpy is Python's number of the same kind, NaN is itself (``NaN``), and 0.0 is not -0.0.
 """
 
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, cast
@@ -15,29 +19,53 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.study.record import Value, canonical, parameter_value
 
 if TYPE_CHECKING:
     import pandas as pd
 
+Scalar = bool | int | float | str | None
+Value = Scalar | tuple["Value", ...]
+Point = dict[str, Value]
 
 #: points of a design: some GB of rows
 MOST = 2_000_000
 
-Point = dict[str, Value]
+
+def canonical(parameters: Mapping[str, Value]) -> str:
+    """Return the text that identifies a point."""
+    return json.dumps(parameters, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def plain(value: object) -> object:
+    """Return a number of numpy as one of Python, anything else unchanged."""
+    return value.item() if isinstance(value, np.generic | np.ndarray) and not value.ndim else value
+
+
+def parameter_value(name: str, value: object) -> Value:
+    """Return a number, string, bool, None or tuple of those; TypeError for anything else."""
+    value = plain(value)
+    if isinstance(value, tuple):
+        return tuple(parameter_value(name, v) for v in value)
+    if isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value):
+        raise ValueError(f"parameter {name!r} must be text that can be stored, got lone surrogates: {value!a}")
+    if value is None or type(value) in (bool, int, float, str):
+        return cast(Value, value)
+    raise TypeError(f"parameter {name!r} must be a number, string, bool, None or a tuple of those, got "
+                    f"{checks.shown(value)}; pass a name or a number and build the object in the run function")
 
 
 class Design:
-    """Points of a study."""
+    """Points of a study, all with the same names."""
 
-    names: tuple[str, ...]  # of the parameters
+    def __init__(self, points: list[Point]) -> None:
+        self.names, self._points = tuple(points[0]), points
 
     def __len__(self) -> int:
-        raise NotImplementedError
+        return len(self._points)
 
     def points(self) -> Iterator[Point]:
         """Yield the points, in order."""
-        raise NotImplementedError
+        return iter(self._points)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(self.names)}: {len(self)} points)"
@@ -62,10 +90,8 @@ def as_design(name: str, design: DesignLike) -> Design:
 
 def _check_length(length: int) -> int:
     if length > MOST:
-        # numbers of many thousand digits are not printed
-        count = length if length < 10**15 else f"more than 10^{int(math.log2(length) * math.log10(2))}"
-        raise ValueError(f"the design has {count} points, at most {MOST} are run in one study: take fewer values, or a "
-                         "sample (adaptmg.study.Sobol)")
+        raise ValueError(f"the design has {length} points, at most {MOST} are run in one study: take fewer values, "
+                         "or a sample (adaptmg.study.Sobol)")
     return length
 
 
@@ -73,25 +99,8 @@ def _mapping(name: str, mapping: object, words: str) -> Mapping[str, object]:
     if not isinstance(mapping, Mapping) or not mapping:
         raise TypeError(f"{name} must be a mapping of names to {words}, got {checks.shown(mapping)}")
     for key in mapping:
-        if not isinstance(key, str):
-            raise TypeError(f"the names of parameters must be strings, got {checks.shown(key)}")
+        checks.instance("the name of a parameter", key, str, "a string")
     return mapping
-
-
-def _values(name: str, values: object) -> list[Value]:
-    """Return the values of a parameter; a sequence too long, or without an end, is refused before they are made."""
-    try:
-        length = -1 if isinstance(values, str | Mapping) else len(cast(Sequence[Value], values))
-    except OverflowError:
-        length = 2**63
-    except TypeError:  # a generator, an array without an axis
-        length = -1
-    if length < 0:
-        raise TypeError(f"parameters[{name!r}] must be a sequence of values whose length is known, such as a list, got "
-                        f"{checks.shown(values)}: others may have no end")
-    if not _check_length(length):
-        raise ValueError(f"parameters[{name!r}] is empty: give at least one value")
-    return [parameter_value(name, value) for value in cast(Sequence[Value], values)]
 
 
 class Grid(Design):
@@ -109,21 +118,19 @@ class Grid(Design):
     """
 
     def __init__(self, parameters: Mapping[str, Sequence[Value]]) -> None:
-        mapping = _mapping("parameters", parameters, "sequences of values")
-        self.values = {name: _values(name, values) for name, values in mapping.items()}
-        for name, plain in self.values.items():
-            if len({canonical({name: value}) for value in plain}) < len(plain):
-                raise ValueError(f"parameters[{name!r}] holds a value twice: {checks.shown(plain)}")
-        self.names = tuple(self.values)
-        _check_length(len(self))
-
-    def __len__(self) -> int:
-        return math.prod(len(values) for values in self.values.values())
-
-    def points(self) -> Iterator[Point]:
-        """Yield the points, in order."""
-        for values in itertools.product(*self.values.values()):
-            yield dict(zip(self.names, values, strict=True))
+        columns = {}
+        for name, values in _mapping("parameters", parameters, "sequences of values").items():
+            if isinstance(values, str | Mapping) or not hasattr(values, "__len__"):
+                raise TypeError(f"parameters[{name!r}] must be a sequence of values, such as a list, got "
+                                f"{checks.shown(values)}: others may have no end")
+            values = cast(Sequence[Value], values)
+            if not _check_length(len(values)):
+                raise ValueError(f"parameters[{name!r}] is empty: give at least one value")
+            columns[name] = [parameter_value(name, value) for value in values]
+            if len(set(map(json.dumps, columns[name]))) < len(values):
+                raise ValueError(f"parameters[{name!r}] holds a value twice: {checks.shown(values)}")
+        _check_length(math.prod(map(len, columns.values())))
+        super().__init__([dict(zip(columns, row, strict=True)) for row in itertools.product(*columns.values())])
 
 
 class Points(Design):
@@ -146,29 +153,20 @@ class Points(Design):
         if isinstance(points, str | Mapping) or not isinstance(points, Sequence) or not points:
             raise TypeError(f"points must be a list of mappings of names to values, got {checks.shown(points)}")
         _check_length(len(points))
-        self._points: list[Point] = []
-        seen: dict[str, int] = {}
+        rows: dict[str, Point] = {}
         for k, point in enumerate(points):
-            mapping = _mapping(f"points[{k}]", point, "values")
-            plain = {name: parameter_value(name, value) for name, value in mapping.items()}
-            if self._points and set(plain) != set(self._points[0]):
-                raise ValueError(f"points[{k}] has the parameters {', '.join(plain)}, the first "
-                                 f"{', '.join(self._points[0])}: give all points the same")
-            first = seen.setdefault(canonical(plain), k)
-            if first != k:
-                raise ValueError(f"points {first} and {k} are the same: {checks.shown(plain)}")
-            self._points.append(plain)
-        self.names = tuple(self._points[0])
-
-    def __len__(self) -> int:
-        return len(self._points)
-
-    def points(self) -> Iterator[Point]:
-        """Yield the points, in order."""
-        return iter(self._points)
+            row = {name: parameter_value(name, value)
+                   for name, value in _mapping(f"points[{k}]", point, "values").items()}
+            if set(row) != set(points[0]):
+                raise ValueError(f"points[{k}] has the parameters {', '.join(row)}, the first {', '.join(points[0])}: "
+                                 "give all points the same")
+            if canonical(row) in rows:
+                raise ValueError(f"points[{k}] is the same as one before it: {checks.shown(row)}")
+            rows[canonical(row)] = row
+        super().__init__(list(rows.values()))
 
 
-class _Sample(Points):
+class _Sample(Design):
     """Points from numbers in the unit cube."""
 
     def __init__(self, ranges: Mapping[str, Sequence[float]], runs: int, *, seed: int = 0,
@@ -178,36 +176,30 @@ class _Sample(Points):
         logarithmic = set(checks.strings("log", (log,) if isinstance(log, str) else log))
         if unknown := sorted(logarithmic - set(mapping)):
             raise ValueError(f"log names {unknown}, but the ranges are {list(mapping)}")
-        ends = {name: _ends(name, pair, name in logarithmic) for name, pair in mapping.items()}
-        cube = self._unit_cube(count, len(ends), checks.integer("seed", seed))
-        values = [_scaled(u, *pair, name in logarithmic) for u, (name, pair) in zip(cube.T, ends.items(), strict=True)]
-        rows = [dict(zip(ends, row, strict=True)) for row in zip(*values, strict=True)]
+        cube = self._unit_cube(count, len(mapping), np.random.default_rng(checks.integer("seed", seed)))
+        columns = [_scaled(u, f"ranges[{name!r}]", ends, name in logarithmic)
+                   for u, (name, ends) in zip(cube.T, mapping.items(), strict=True)]
+        rows = [dict(zip(mapping, row, strict=True)) for row in zip(*columns, strict=True)]
         # points of whole numbers may coincide
-        super().__init__(list({canonical(point): point for point in rows}.values()))
+        super().__init__(list({canonical(row): row for row in rows}.values()))
 
-    def _unit_cube(self, count: int, dim: int, seed: int) -> np.ndarray:
+    def _unit_cube(self, count: int, dim: int, rng: np.random.Generator) -> np.ndarray:
         raise NotImplementedError
 
 
-def _ends(name: str, pair: object, logarithmic: bool) -> tuple[float, float]:
-    ends = checks.listed(f"ranges[{name!r}]", cast(Iterable[float], pair), "two numbers, (low, high)")
-    if len(ends) != 2:
-        raise ValueError(f"ranges[{name!r}] must be two numbers, (low, high), got {checks.shown(pair)}")
-    whole = all(isinstance(end, int | np.integer) for end in ends)
-    low, high = (checks.number(f"ranges[{name!r}]", end) for end in ends)
-    if not low < high:
-        raise ValueError(f"ranges[{name!r}] must go up, got {checks.shown(pair)}")
+def _scaled(u: np.ndarray, name: str, ends: object, logarithmic: bool) -> list[Value]:
+    """Return numbers between 0 and 1 as numbers of a range, whole ones between whole ends."""
+    pair = checks.listed(name, cast(Iterable[float], ends), "two numbers, (low, high)")
+    if len(pair) != 2 or not checks.number(name, pair[0]) < checks.number(name, pair[1]):
+        raise ValueError(f"{name} must be two numbers that go up, (low, high), got {checks.shown(ends)}")
+    low, high = pair
+    whole = all(isinstance(end, int | np.integer) for end in pair)
     if logarithmic and (whole or not low > 0):
-        raise ValueError(f"ranges[{name!r}] must be two floats > 0 for a logarithmic scale, got {checks.shown(pair)}")
-    return (int(low), int(high)) if whole else (low, high)
-
-
-def _scaled(u: np.ndarray, low: float, high: float, logarithmic: bool) -> list[Value]:
-    if isinstance(low, int):
-        return [int(k) for k in np.minimum(low + np.floor(u * (high - low + 1)), high)]
-    if logarithmic:
-        return cast(list[Value], np.clip(low * (high / low)**u, low, high).tolist())
-    return cast(list[Value], (low + u * (high - low)).tolist())
+        raise ValueError(f"{name} must be two floats > 0 for a logarithmic scale, got {checks.shown(ends)}")
+    if whole:
+        return cast(list[Value], np.minimum(low + np.floor(u * (high - low + 1)), high).astype(int).tolist())
+    return cast(list[Value], np.clip(low * (high / low)**u if logarithmic else low + u * (high - low), low,
+                                     high).tolist())
 
 
 class Random(_Sample):
@@ -231,8 +223,8 @@ class Random(_Sample):
     3
     """
 
-    def _unit_cube(self, count: int, dim: int, seed: int) -> np.ndarray:
-        return np.random.default_rng(seed).random((count, dim))
+    def _unit_cube(self, count: int, dim: int, rng: np.random.Generator) -> np.ndarray:
+        return rng.random((count, dim))
 
 
 class LatinHypercube(_Sample):
@@ -245,10 +237,10 @@ class LatinHypercube(_Sample):
     4
     """
 
-    def _unit_cube(self, count: int, dim: int, seed: int) -> np.ndarray:
+    def _unit_cube(self, count: int, dim: int, rng: np.random.Generator) -> np.ndarray:
         from scipy.stats import qmc
 
-        return qmc.LatinHypercube(dim, rng=np.random.default_rng(seed)).random(count)
+        return qmc.LatinHypercube(dim, rng=rng).random(count)
 
 
 class Sobol(_Sample):
@@ -263,9 +255,8 @@ class Sobol(_Sample):
     4
     """
 
-    def _unit_cube(self, count: int, dim: int, seed: int) -> np.ndarray:
+    def _unit_cube(self, count: int, dim: int, rng: np.random.Generator) -> np.ndarray:
         from scipy.stats import qmc
 
-        sequence = qmc.Sobol(dim, rng=np.random.default_rng(seed), bits=30)
-        # the balance of a power of 2 is the user's choice: no warning
-        return sequence.random_base2(math.ceil(math.log2(count)))[:count] if count > 1 else sequence.random(1)
+        # a power of 2, without which it warns
+        return qmc.Sobol(dim, rng=rng, bits=30).random(2**math.ceil(math.log2(count)))[:count]

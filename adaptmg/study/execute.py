@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import io
+import json
 import pickle
 import platform
 import subprocess
@@ -22,14 +23,18 @@ from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
+from adaptmg import _checks as checks
 from adaptmg._machine import peak_memory, reset_peak_memory
-from adaptmg._text import printable
 from adaptmg.solver.fingerprint import Fingerprint, environment, fingerprint
-from adaptmg.study.kept_files import Packed, pack
-from adaptmg.study.record import MOST_ERROR, MOST_TRACEBACK, Scalar, Value, WrongResults, bounded, plain_results
+from adaptmg.study.designs import Point, Scalar, plain
+from adaptmg.study.store import Packed, pack
 
-Point = dict[str, Value]
 RunFunction = Callable[..., Mapping[str, object]]
+
+#: columns that :meth:`adaptmg.study.Study.table` adds to parameters and results
+RESERVED = ("status", "seconds", "error")
+#: characters of an error, of a traceback, and of all results of a run as JSON that are stored
+_MOST_ERROR, _MOST_TRACEBACK, _MOST_RESULTS = 4_000, 20_000, 200_000
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,8 @@ class Task:
 class Finished:
     """Outcome of one run."""
 
-    results: dict[str, Scalar] = field(default_factory=dict)  # empty if it failed
-    packed: dict[str, Packed] = field(default_factory=dict)  # results that are kept as files
+    results: dict[str, Scalar] = field(default_factory=dict)  # empty if it failed; of what is kept its kind
+    packed: dict[str, Packed] = field(default_factory=dict)  # results that are kept as bytes
     error: str = ""  # type and text of the exception, empty if it did not fail
     traceback: str = ""
     exception: BaseException | None = None  # None where it cannot be sent
@@ -92,18 +97,40 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
         if interruptible and isinstance(error, KeyboardInterrupt):
             raise
         seconds = time.perf_counter() - begin
-        outcome = Finished(error=error_text(error), traceback=_trace(error), exception=error,
+        trace = bounded("".join(traceback.format_exception(error)), _MOST_TRACEBACK)
+        outcome = Finished(error=error_text(error), traceback=trace, exception=error,
                            refused=isinstance(error, WrongResults))
     return replace(outcome, seconds=seconds, peak_memory=peak_memory(), started=started, machine=platform.node())
 
 
+class WrongResults(TypeError):
+    """A run function returns what cannot be stored."""
+
+
 def _sorted_out(returned: object, point: Point) -> Finished:
-    """Separate the results that go into the row from those that are kept as files, which are empty in the row."""
-    packed = {}
-    if isinstance(returned, Mapping):
-        packed = {name: item for name, value in returned.items() if (item := pack(value)) is not None}
-        returned = {name: "" if name in packed else value for name, value in returned.items()}
-    return Finished(plain_results(returned, point), packed)
+    """Return the results of a run function, checked: numbers, strings, bools and None for the row, the rest packed."""
+    if not isinstance(returned, Mapping):
+        raise WrongResults(f"the run function must return a dict of numbers, strings and bools, got "
+                           f"{checks.shown(returned)}")
+    results, packed = {}, {}
+    for name, value in returned.items():
+        if not isinstance(name, str):
+            raise WrongResults(f"the names of results must be strings, got {checks.shown(name)}")
+        if name in point or name in RESERVED:
+            taken = "a parameter" if name in point else "a column of the study"
+            raise WrongResults(f"result {name!r} has the name of {taken}: rename it (e.g. 'solver_{name}')")
+        value = plain(value)
+        if (kept := pack(value)) is not None:
+            packed[name], value = kept, kept.kind
+        if value is not None and type(value) not in (bool, int, float, str):
+            raise WrongResults(f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "
+                               "reduce arrays to numbers, or return a numpy array, which is kept")
+        results[name] = value
+    length = len(json.dumps(results))
+    if length > _MOST_RESULTS:
+        raise ValueError(f"the results take {length} characters, at most {_MOST_RESULTS} go into a row; return arrays, "
+                         "which are kept apart")
+    return Finished(results, packed)
 
 
 def now() -> str:
@@ -117,15 +144,15 @@ def error_text(error: BaseException) -> str:
         text = str(error)
     except BaseException as worse:
         text = f"<its text raises {type(worse).__name__}>"
-    return bounded(printable(f"{type(error).__name__}: {text}"), MOST_ERROR)
+    return bounded(f"{type(error).__name__}: {text}", _MOST_ERROR)
 
 
-def _trace(error: BaseException) -> str:
-    try:
-        text = "".join(traceback.format_exception(error))
-    except BaseException as worse:
-        text = f"<its traceback raises {type(worse).__name__}>"
-    return bounded(printable(text), MOST_TRACEBACK)
+def bounded(text: str, most: int) -> str:
+    """Return a text of at most ``most`` characters, its middle left out where it is longer."""
+    if len(text) <= most:
+        return text
+    half = (most - 60) // 2
+    return f"{text[:half]}\n... {len(text) - 2 * half} characters left out ...\n{text[-half:]}"
 
 
 @cache
@@ -174,11 +201,9 @@ def readied(order: Order) -> RunFunction:
         raise UnfitWorker(f"it has {', '.join(different)}")
     try:
         function = pickle.loads(order.function)
-    except ModuleNotFoundError as error:
-        raise UnfitWorker(f"it has no module {error.name!r}, which the run function needs: install it there, put it on "
-                          "PYTHONPATH, or send it with client.upload_file") from error
     except Exception as error:
-        raise UnfitWorker(f"it cannot unpack the run function ({error_text(error)})") from error
+        raise UnfitWorker(f"it cannot unpack the run function ({error_text(error)}): install what it lacks there, put "
+                          "it on PYTHONPATH, or send it with client.upload_file") from error
     if changes := fingerprint(function, dict.fromkeys(order.depends)).seen().differences(order.fingerprint.parts):
         raise UnfitWorker(f"it would compute something else than this process ({', '.join(changes[:5])}): bring the "
                           "same files there and start the worker again; give values that a script sets in a module as "
@@ -217,9 +242,6 @@ def perform(function: RunFunction, uses_adaptmg: bool, point: Point, tries: int,
     return replace(finished, exception=sendable, tries=tries)
 
 
-_MOST = 50 * 2**20
-
-
 def _cached_again(function: RunFunction, parameters: dict[str, int | bool]) -> RunFunction:
     return functools.lru_cache(**parameters)(function)
 
@@ -242,8 +264,4 @@ def sent(function: RunFunction) -> bytes:
     except Exception as error:  # whatever the objects it carries raise
         raise TypeError(f"the run function {function.__qualname__} cannot be sent to a worker, as something it reads "
                         f"cannot ({type(error).__name__}: {error}): build that inside the function") from error
-    content = buffer.getvalue()
-    if len(content) > _MOST:
-        raise TypeError(f"the run function {function.__qualname__} carries {len(content) / 1e6:.0f} MB of values with "
-                        "it, with each run: let it read them from a file, or build them")
-    return content
+    return buffer.getvalue()

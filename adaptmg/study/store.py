@@ -4,58 +4,145 @@ SQLite keeps its rollback journal with full synchronisation: a stored run surviv
 a half-written one does not exist. (Its write-ahead log does not work on the network file systems of clusters.) Several
 processes may write to one store.
 
-Table ``runs`` has a row a run. ``origins`` has the parts of each fingerprint, so that a study can say why a row is
+Table ``runs`` has a row a run: its parameters (the text that identifies it) and a :class:`Record` as JSON. ``kept`` has
+results that are not numbers: arrays, meshes, solutions, figures and long texts, packed into bytes where the run
+function runs; nothing is pickled. ``origins`` has the parts of each fingerprint, so that a study can say why a row is
 stale. ``claims`` has the runs that are being computed, each with the process that does.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import platform
 import sqlite3
+import sys
 import threading
 import time
 import uuid
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._files import make_folder
+from adaptmg._files import make_folder, waiting_folder
 from adaptmg._text import printable
-from adaptmg.study.record import Record, Scalar, canonical, restored
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.study.designs import Scalar, Value, canonical
 
-Cell = str | int | float
-_FORMAT = 2
-#: columns of ``runs`` after the study, in the order of the table; for each the attribute of a record and its type
-_COLUMNS: dict[str, tuple[str, type | tuple[type, ...]]] = {
-    "parameters": ("parameters", dict), "status": ("status", str), "results": ("results", dict),
-    "error": ("error", str), "seconds": ("seconds", (int, float)), "code": ("code", str),
-    "versions": ("versions", dict), "finished": ("finished", str), "traceback": ("traceback", str),
-    "peak_memory": ("peak_memory", int), "started": ("started", str), "machine": ("machine", str),
-    "commit_id": ("commit", str), "tries": ("tries", int), "files": ("files", dict)}
-_NAMES = ", ".join(_COLUMNS)
-_TYPES = {str: "TEXT", dict: "TEXT", int: "INTEGER", (int, float): "REAL"}
-_TABLES = (
-    f"CREATE TABLE runs (study TEXT NOT NULL, "
-    f"{', '.join(f'{name} {_TYPES[kind]} NOT NULL' for name, (_, kind) in _COLUMNS.items())}, "
-    "CHECK (status IN ('done', 'failed')), PRIMARY KEY (study, parameters))",
-    "CREATE TABLE origins (code TEXT PRIMARY KEY, parts TEXT NOT NULL)",
-    f"PRAGMA user_version = {_FORMAT}")
-_CLAIMS = "CREATE TABLE IF NOT EXISTS claims (study TEXT, parameters TEXT, owner TEXT, PRIMARY KEY (study, parameters))"
+if TYPE_CHECKING:
+    from adaptmg.solver.result import Result
+
+    Kept = np.ndarray | MeshArrays | Result | str
+
+#: characters of a text that goes into the row, and bytes of a result that does not
+_LONG, _MOST_BYTES = 10_000, 2**29
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """One run: what it was given, what it returned, and where it ran."""
+
+    parameters: dict[str, Value]  # the fixed ones too
+    status: str  # "done" or "failed"
+    results: dict[str, Scalar] = field(default_factory=dict)  # the kind of result where it is kept in ``kept``
+    error: str = ""  # type and text of the exception of a failed run
+    seconds: float = 0.0  # wall time
+    code: str = ""  # fingerprint, see :mod:`adaptmg.solver.fingerprint`
+    versions: dict[str, str] = field(default_factory=dict)  # of Python and of the packages
+    finished: str = ""  # UTC, ISO 8601
+    traceback: str = ""  # of a failed run
+    peak_memory: int = 0  # largest memory of the process during the run, bytes; 0 where the system does not say
+    started: str = ""  # UTC, ISO 8601
+    machine: str = ""
+    commit: str = ""  # of adaptmg, where it lies in a git repository
+    tries: int = 1  # number of starts: more than one where workers died
+
+
+#: what is stored as JSON
+_FIELDS = [one.name for one in fields(Record) if one.name != "parameters"]
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A result as bytes."""
+
+    kind: str  # array, mesh, result, figure or text
+    content: bytes
+
+
+def pack(value: object) -> Packed | None:
+    """Return ``value`` as bytes, None if it is a number or short text, or of no kind that is kept."""
+    packed = None
+    if isinstance(value, str) and len(value) > _LONG:
+        packed = Packed("text", value.encode("utf-8", "surrogatepass"))
+    elif isinstance(value, np.ndarray) and value.ndim:
+        packed = Packed("array", _array(value))
+    # without the module loaded there is no object of its class
+    elif isinstance(value, (MeshArrays, *_loaded("adaptmg.solver.result", "Result"))):
+        from adaptmg.solver.result import KINDS
+        from adaptmg.solver.store import packed as pack_fields
+
+        packed = Packed("mesh" if isinstance(value, MeshArrays) else "result", pack_fields(value, KINDS))
+    elif isinstance(value, _loaded("matplotlib.figure", "Figure")):
+        buffer = io.BytesIO()
+        value.savefig(buffer, format="svg", bbox_inches="tight")
+        packed = Packed("figure", buffer.getvalue())
+    if packed is not None and len(packed.content) > _MOST_BYTES:
+        raise ValueError(f"a result of {len(packed.content):.3g} bytes cannot be kept, at most {_MOST_BYTES:.3g}")
+    return packed
+
+
+def _loaded(module: str, name: str) -> tuple[type, ...]:
+    kind = getattr(sys.modules.get(module), name, None)
+    return () if kind is None else (kind,)
+
+
+def _array(array: np.ndarray) -> bytes:
+    if isinstance(array, np.ma.MaskedArray):
+        raise TypeError("a masked array cannot be kept, as its mask would be lost: return its data and mask")
+    if array.dtype.kind not in "biufcUSMm":
+        raise TypeError(f"an array of {array.dtype} cannot be kept: return numbers or texts")
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def unpack(packed: Packed) -> Kept:
+    """Return an array, a mesh, a result or a text; of a figure the text of its SVG."""
+    if packed.kind in ("text", "figure"):
+        return packed.content.decode("utf-8", "surrogatepass")
+    if packed.kind == "array":
+        return np.load(io.BytesIO(packed.content), allow_pickle=False)
+    from adaptmg.solver.result import KINDS
+    from adaptmg.solver.store import read
+
+    with waiting_folder() as folder:
+        (folder / "kept.npz").write_bytes(packed.content)
+        return read(folder / "kept.npz", (MeshArrays,) if packed.kind == "mesh" else KINDS).value
+
+
+_FORMAT = 3
+_TABLES = {
+    "runs": "CREATE TABLE runs (study TEXT, parameters TEXT, record TEXT, PRIMARY KEY (study, parameters))",
+    "kept": "CREATE TABLE kept (study TEXT, parameters TEXT, name TEXT, kind TEXT, content BLOB, "
+            "PRIMARY KEY (study, parameters, name))",
+    "origins": "CREATE TABLE origins (code TEXT PRIMARY KEY, parts TEXT)",
+    "claims": "CREATE TABLE claims (study TEXT, parameters TEXT, owner TEXT, PRIMARY KEY (study, parameters))"}
 #: seconds after which the claim of a process on another machine, which may have died, is taken over
 _LEASE_S = 86400.0
-_PUT = f"INSERT OR REPLACE INTO runs (study, {_NAMES}) VALUES ({', '.join('?' * (len(_COLUMNS) + 1))})"
 #: seconds to wait for another process that writes
 _PATIENCE_S = 60.0
 #: remedies by a part of SQLite's message
 _FIXES = {"locked": "another process holds it; wait, or end that process",
           "readonly": "it or its folder is write-protected", "full": "make room",
           "unable to open": "it cannot be opened; check the permissions of file and folder"}
-_DAMAGE = (ValueError, TypeError, RecursionError)
 
 
 class Store:
@@ -80,43 +167,39 @@ class Store:
 
     def _prepare(self) -> None:
         self._connection.execute("PRAGMA synchronous = FULL")
-        # transactions: another process that makes the tables is seen before or after, not in between
-        with self._connection:
-            self._connection.execute("BEGIN")
-            exists = self._is_store()
-        if not exists:
-            with self._connection:
-                self._connection.execute("BEGIN IMMEDIATE")
-                if not self._is_store():
-                    for statement in _TABLES:
-                        self._connection.execute(statement)
+        if not self._is_store():
+            with self._transaction() as connection:
+                if not self._is_store():  # made by another process meanwhile
+                    for statement in (*_TABLES.values(), f"PRAGMA user_version = {_FORMAT}"):
+                        connection.execute(statement)
 
     def _is_store(self) -> bool:
-        """Whether there are tables of this version; False for an empty file, ValueError for other databases."""
-        (version,) = self._connection.execute("PRAGMA user_version").fetchone()
-        kinds = dict(self._connection.execute("SELECT name, type FROM sqlite_master").fetchall())
-        if not version and not kinds:
-            return False
-        columns = [row[1] for row in self._connection.execute("PRAGMA table_info(runs)")]
-        # a view may have no end, and a trigger changes what is written
-        if version != _FORMAT or columns != ["study", *_COLUMNS] or {"view", "trigger"} & set(kinds.values()):
+        """Whether there are tables of this version; False for an empty file, ValueError for other databases, also for
+        those with views and triggers."""
+        tables = dict(self._connection.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL UNION ALL "
+                                               "SELECT 'version', user_version FROM pragma_user_version"))
+        if tables not in ({"version": 0}, _TABLES | {"version": _FORMAT}):
             raise ValueError(f"{self._called} is a database, but not a store of this version of adaptmg (version "
-                             f"{version}, tables {checks.shown(kinds)}): give another file")
-        return True
+                             f"{tables['version']}, tables {checks.shown(list(tables))}): give another file")
+        return len(tables) > 1
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        """Do all inside or nothing, before or after what other processes do."""
+        with self._connection as connection:
+            connection.execute("BEGIN IMMEDIATE")
+            yield connection
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
-        """Errors of SQLite become ones that name the file and the remedy."""
+        """Errors of SQLite, and of content that is not what was written, become ones that name the file."""
         try:
             with self._lock:
                 yield
-        except sqlite3.OperationalError as error:
-            text = str(error)
-            if "decode" in text:
-                raise ValueError(f"{self._called} is damaged ({text}): give another file") from error
-            fix = next((words for sign, words in _FIXES.items() if sign in text), "give another file")
-            raise OSError(f"{self._called}: {text}: {fix}") from error
-        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter for names of tables
+        except (sqlite3.Error, UnicodeDecodeError, json.JSONDecodeError, TypeError, AttributeError,
+                RecursionError) as error:
+            if fix := next((words for sign, words in _FIXES.items() if sign in str(error)), ""):
+                raise OSError(f"{self._called}: {error}: {fix}") from error
             raise ValueError(f"{self._called} is not a store of a study, or damaged ({error}): give another "
                              "file") from error
 
@@ -134,97 +217,82 @@ class Store:
             how = "removed" if now is None else "replaced by another file"
             raise OSError(f"{self._called} was {how} while it was in use: run the study again")
 
-    # writing
-
-    def put(self, study: str, record: Record) -> None:
-        """Write one run, in place of an earlier one with the same parameters."""
-        self.put_all(study, [record])
-
-    def put_all(self, study: str, records: Sequence[Record], parts: dict[str, str] | None = None) -> None:
-        """Write runs in one transaction, which Ctrl-C does not prevent; ``parts`` are those of their fingerprint."""
-        rows = [(study, *_row(record)) for record in records]
-        origins = [] if parts is None else [(code, json.dumps(parts)) for code in {record.code for record in records}]
+    def put(self, study: str, records: Sequence[Record], parts: dict[str, str] | None = None,
+            kept: Sequence[dict[str, Packed]] = ()) -> None:
+        """Write runs in one transaction, which Ctrl-C does not prevent, in place of earlier ones with the same
+        parameters; ``parts`` are those of their fingerprint, ``kept`` has for each what is kept by name."""
         try:
-            self._write(rows, origins)
+            self._write(study, records, parts, kept)
         except KeyboardInterrupt:  # it undid the transaction
-            self._write(rows, origins)
+            self._write(study, records, parts, kept)
             raise
 
-    def claim(self, study: str, keys: Sequence[str], owner: str) -> list[bool]:
-        """Claim runs, in one transaction; whether each is claimed: not where a process that may live has claimed it."""
+    def _write(self, study: str, records: Sequence[Record], parts: dict[str, str] | None,
+               kept: Sequence[dict[str, Packed]]) -> None:
+        keys = [(study, canonical(record.parameters)) for record in records]
+        rows = [json.dumps({name: getattr(record, name) for name in _FIELDS}) for record in records]
         with self._explained():
             self._check_there()
-            with self._connection as connection:
-                connection.execute("BEGIN IMMEDIATE")
-                connection.execute(_CLAIMS)
-                held = [connection.execute("SELECT owner FROM claims WHERE study = ? AND parameters = ?",
-                                           (study, key)).fetchone() for key in keys]
-                claimed = [other is None or not _may_live(other[0]) for other in held]
-                connection.executemany("INSERT OR REPLACE INTO claims VALUES (?, ?, ?)",
-                                       [(study, key, owner) for key, ours in zip(keys, claimed, strict=True) if ours])
-        return claimed
+            with self._transaction() as connection:
+                for table in ("claims", "kept"):
+                    connection.executemany(f"DELETE FROM {table} WHERE study = ? AND parameters = ?", keys)
+                connection.executemany("INSERT OR REPLACE INTO runs VALUES (?, ?, ?)",
+                                       [(*key, row) for key, row in zip(keys, rows, strict=True)])
+                connection.executemany("INSERT INTO kept VALUES (?, ?, ?, ?, ?)",
+                                       [(*key, name, one.kind, one.content) for key, packed in
+                                        zip(keys, kept, strict=bool(kept)) for name, one in packed.items()])
+                if parts is not None:
+                    connection.executemany("INSERT OR IGNORE INTO origins VALUES (?, ?)",
+                                           [(code, json.dumps(parts)) for code in {record.code for record in records}])
+
+    def claim(self, study: str, key: str, owner: str) -> bool:
+        """Claim a run; whether it is claimed: not where a process that may live has claimed it."""
+        with self._explained():
+            self._check_there()
+            with self._transaction() as connection:
+                held = connection.execute("SELECT owner FROM claims WHERE study = ? AND parameters = ?",
+                                          (study, key)).fetchone()
+                if held is not None and _may_live(held[0]):
+                    return False
+                connection.execute("INSERT OR REPLACE INTO claims VALUES (?, ?, ?)", (study, key, owner))
+        return True
 
     def release(self, owner: str, key: str = "%") -> None:
         """Give up the claims of an owner, or that on one run."""
-        with self._explained(), self._connection as connection:
-            connection.execute(_CLAIMS)
+        with self._explained(), self._transaction() as connection:
             connection.execute("DELETE FROM claims WHERE owner = ? AND ? IN (parameters, '%')", (owner, key))
-
-    def _write(self, rows: Sequence[tuple[Cell, ...]], origins: Sequence[tuple[str, str]]) -> None:
-        with self._explained():
-            self._check_there()
-            with self._connection as connection:
-                connection.execute(_CLAIMS)
-                connection.executemany("DELETE FROM claims WHERE study = ? AND parameters = ?",
-                                       [row[:2] for row in rows])
-                connection.executemany(_PUT, rows)
-                connection.executemany("INSERT OR IGNORE INTO origins VALUES (?, ?)", origins)
-
-    # reading
 
     def get(self, study: str) -> dict[str, Record]:
         """Return all runs of a study in the order of storing, by their canonical parameters."""
-        return {canonical(record.parameters): record for record in self.runs(study)}
-
-    def runs(self, study: str) -> list[Record]:
-        """Return the runs of a study in the order of storing."""
         # the index has the rows in another order
-        rows = self._select(f"SELECT {_NAMES} FROM runs NOT INDEXED WHERE study = ? ORDER BY rowid", study)
-        return [self._record(study, row) for row in rows]
+        return self._records("NOT INDEXED WHERE study = ? ORDER BY rowid", study)
 
     def one(self, study: str, key: str) -> Record | None:
         """Return the run of a study with these canonical parameters, if it is stored."""
-        rows = self._select(f"SELECT {_NAMES} FROM runs WHERE study = ? AND parameters = ?", study, key)
-        return self._record(study, rows[0]) if rows else None
+        return self._records("WHERE study = ? AND parameters = ?", study, key).get(key)
 
-    def _record(self, study: str, row: Sequence[Cell]) -> Record:
-        try:
-            return _read(row)
-        except _DAMAGE as error:
-            raise ValueError(f"{self._called} is damaged: the run {checks.shown(row[0])} of the study {study!r} cannot "
-                             f"be read ({error}): delete that row, or give another file") from error
+    def _records(self, condition: str, *values: str) -> dict[str, Record]:
+        with self._explained():
+            rows = self._connection.execute(f"SELECT parameters, record FROM runs {condition}", values).fetchall()
+            return {key: Record(parameters={name: _restored(value) for name, value in json.loads(key).items()},
+                                **json.loads(record)) for key, record in rows}
+
+    def kept(self, study: str, key: str) -> dict[str, Packed]:
+        """Return what a run keeps, by name."""
+        with self._explained():
+            rows = self._connection.execute("SELECT name, kind, content FROM kept WHERE study = ? AND parameters = ?",
+                                            (study, key)).fetchall()
+        return {name: Packed(kind, content) for name, kind, content in rows}
 
     def studies(self) -> list[str]:
         """Return the names of the studies."""
-        return [name for (name,) in self._select("SELECT DISTINCT study FROM runs ORDER BY study")]
-
-    def summaries(self) -> list[tuple[str, int, int, float, str]]:
-        """Return for each study its name, runs done and failed, their seconds, and when the last one ended (UTC)."""
-        return self._select("SELECT study, sum(status = 'done'), sum(status = 'failed'), total(seconds), max(finished) "
-                            "FROM runs GROUP BY study ORDER BY study")
+        with self._explained():
+            return [name for (name,) in self._connection.execute("SELECT DISTINCT study FROM runs ORDER BY study")]
 
     def origins(self) -> dict[str, dict[str, str]]:
         """Return the parts of the stored fingerprints, by the fingerprint."""
-        rows = self._select("SELECT code, parts FROM origins")
-        try:
-            return {code: cast(dict[str, str], _object(parts)) for code, parts in rows}
-        except _DAMAGE as error:
-            raise ValueError(f"{self._called} is damaged: its table 'origins' cannot be read ({error}): give another "
-                             "file") from error
-
-    def _select(self, query: str, *values: str) -> list:
         with self._explained():
-            return self._connection.execute(query, values).fetchall()
+            return {code: json.loads(parts) for code, parts in self._connection.execute("SELECT * FROM origins")}
 
 
 def new_owner() -> str:
@@ -238,36 +306,15 @@ def _may_live(owner: str) -> bool:
     """Whether the process of a claim may still compute."""
     import psutil
 
+    machine, process, created, claimed, _ = json.loads(owner)
+    if machine != platform.node():
+        return time.time() - claimed < _LEASE_S
     try:
-        machine, process, created, claimed, _ = json.loads(owner)
-        if machine != platform.node():
-            return time.time() - claimed < _LEASE_S
         return abs(psutil.Process(process).create_time() - created) < 1.0
-    except (psutil.Error, *_DAMAGE):
+    except psutil.Error:
         return False
 
 
-def _row(record: Record) -> tuple[Cell, ...]:
-    """Return the columns of a record; a text may hold anything, so it is made printable."""
-    values = {column: getattr(record, name) for column, (name, _) in _COLUMNS.items()}
-    texts = {name: printable(values[name]) for name in ("error", "traceback", "machine")}
-    return tuple((values | texts | {"parameters": canonical(record.parameters)} | {
-        name: json.dumps(values[name]) for name in ("results", "versions", "files")}).values())
-
-
-def _read(row: Sequence[Cell]) -> Record:
-    """Return the record of a row; ValueError or TypeError for a row that adaptmg cannot have written."""
-    values = {}
-    for cell, (name, kind) in zip(row, _COLUMNS.values(), strict=True):
-        values[name] = _object(cell) if kind is dict else checks.instance(name, cell, kind)
-    results, files = values["results"], values["files"]
-    if any(type(value) not in (bool, int, float, str, type(None)) for value in results.values()):
-        raise ValueError("a result is not a number, text, true, false or null")
-    if any(type(path) is not str for path in files.values()):
-        raise ValueError("the name of a file is not a text")
-    values["parameters"] = {name: restored(value) for name, value in values["parameters"].items()}
-    return Record(**values)
-
-
-def _object(text: Cell) -> dict[str, Scalar | list]:
-    return checks.instance("its JSON", json.loads(cast(str, text)), dict, "an object")
+def _restored(value: Scalar | list) -> Value:
+    """Undo what JSON does to tuples."""
+    return tuple(map(_restored, value)) if isinstance(value, list) else value

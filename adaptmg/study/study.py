@@ -10,47 +10,87 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import datetime, timedelta
-from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import dataclass, field
+from datetime import timedelta
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from adaptmg import _checks as checks
+from adaptmg._text import say
 from adaptmg.solver.fingerprint import Fingerprint, environment, fingerprint
-from adaptmg.study.designs import DesignLike, as_design
-from adaptmg.study.execute import Execute, Finished, Point, RunFunction, Task, commit, in_turn, now
-from adaptmg.study.kept_files import Folder
-from adaptmg.study.record import (
-    DETAILS,
-    RESERVED,
-    Record,
-    StudyStatus,
-    Value,
-    canonical,
-    frame,
-    parameter_value,
-    reasons,
-)
-from adaptmg.study.store import Store, new_owner
+from adaptmg.study.designs import DesignLike, Point, Value, as_design, canonical, parameter_value
+from adaptmg.study.execute import RESERVED, Execute, Finished, RunFunction, Task, commit, in_turn, now
+from adaptmg.study.store import Record, Store, new_owner, unpack
+from adaptmg.study.tables import DETAILS, frame
 
 if TYPE_CHECKING:
-    import numpy as np
     from distributed import Client
     from distributed.deploy.cluster import Cluster
 
-    from adaptmg.mesh.arrays import MeshArrays
-    from adaptmg.solver.result import Result
-
-    Kept = np.ndarray | MeshArrays | Result | str | Path
+    from adaptmg.study.store import Kept
 
 _log = logging.getLogger("adaptmg.study")
 Cost = Callable[[Point], float] | str
+#: reasons that are listed
+_MOST = 12
 Progress = bool | Callable[["Watch"], None] | None
 #: seconds between two lines about a study that runs where no terminal shows a bar
 _EVERY_S = 60.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyStatus:
+    """Counts of the runs of a study, and why runs are stale or failed.
+
+    Examples
+    --------
+    >>> study = am.Study(lambda n: {"square": n * n}, {"n": [1, 2]})
+    >>> study.status().missing
+    2
+    """
+
+    name: str  # of the study
+    done: int  # stored and valid
+    failed: int  # stored, valid and failed
+    stale: int  # stored for another state of code, values or packages
+    missing: int
+    reasons: dict[str, int] = field(default_factory=dict)  # why runs are stale, with their number
+    errors: dict[str, int] = field(default_factory=dict)  # errors of failed runs, with their number
+
+    @property
+    def total(self) -> int:
+        """Runs of the study."""
+        return self.done + self.failed + self.stale + self.missing
+
+    def __repr__(self) -> str:
+        lines = [f"Study {self.name!r}: {self.total} runs: {self.done} done, {self.failed} failed, {self.stale} stale, "
+                 f"{self.missing} missing"]
+        for title, counts in (("stale", self.reasons), ("failed", self.errors)):
+            ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+            lines += [f"  {title}: {text} ({count})" for text, count in ordered[:_MOST]]
+            if len(ordered) > _MOST:
+                lines.append(f"  {title}: {len(ordered) - _MOST} more")
+        return "\n".join(lines)
+
+
+def _reasons(stale: Iterable[Record], now: Fingerprint, versions: Mapping[str, str],
+            origins: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
+    """Return why records are stale, with the number of records."""
+    kinds = Counter((record.code, tuple(record.versions.items())) for record in stale)
+    counts: Counter[str] = Counter()
+    for (code, stored), count in kinds.items():
+        then = dict(stored)
+        changes = [f"{name} {then.get(name, 'none')} -> {versions.get(name, 'none')}"
+                   for name in sorted({*then, *versions}) if then.get(name) != versions.get(name)]
+        if code != now.code:
+            changes += now.differences(origins.get(code, {}))
+        for text in changes:
+            counts[text] += count
+    return dict(counts)
 
 
 class Study:
@@ -75,8 +115,8 @@ class Study:
     ----------
     run : function
         Called with the parameters by name; returns a flat dict of numbers, strings and bools. Arrays,
-        :class:`adaptmg.MeshArrays`, :class:`adaptmg.Result`, figures of matplotlib and long texts are kept as files
-        next to the store, see :meth:`load`. An exception makes a failed row, and the study goes on.
+        :class:`adaptmg.MeshArrays`, :class:`adaptmg.Result`, figures of matplotlib and long texts are kept apart in
+        the store, see :meth:`load`. An exception makes a failed row, and the study goes on.
     parameters : mapping of str to sequence, list of points, or design
         A mapping is a grid: every combination, the last parameter changing fastest. Values are numbers, strings,
         bools, None or tuples of those.
@@ -99,9 +139,6 @@ class Study:
     [2.5, 4.5]
     """
 
-    #: seconds of runs that this process claims ahead of others that compute the same study
-    AHEAD_S: ClassVar[float] = 0.25
-
     def __init__(self, run: RunFunction, parameters: DesignLike,
                  store: str | os.PathLike[str] | None = None, *, name: str | None = None,
                  fixed: Mapping[str, Value] | None = None, depends: Mapping[str, object] | None = None) -> None:
@@ -114,7 +151,6 @@ class Study:
         self.design = as_design("parameters", parameters)
         _check_names(run, self.design.names, self.fixed)
         self._store = Store(store)
-        self._files = Folder(self._store.path)
 
     def __len__(self) -> int:
         return len(self.design)
@@ -198,7 +234,7 @@ class Study:
     def table(self, details: bool = False) -> pd.DataFrame:
         """Return the runs in the store, without computing any: one row a run in the order of the design.
 
-        Columns are parameters, results (the name of the file where one is kept as a file), ``status`` ('done',
+        Columns are parameters, results (its kind where one is kept apart), ``status`` ('done',
         'failed', 'stale', 'missing'), ``seconds`` and ``error``; with ``details`` also tries, peak_memory (bytes),
         started, finished (UTC), machine, commit, traceback. ``attrs`` has the study's name and fixed parameters.
         """
@@ -218,45 +254,47 @@ class Study:
             elif state == "failed" and record is not None:
                 errors[record.error] = errors.get(record.error, 0) + 1
         return StudyStatus(name=self.name, **counts, errors=errors,
-                           reasons=reasons(stale, code, versions, self._store.origins()))
+                           reasons=_reasons(stale, code, versions, self._store.origins()))
 
     def load(self, row: int | Mapping[str, Value] | pd.Series, name: str | None = None) -> Kept | dict[str, Kept]:
-        """Return the results of a run that are kept as files, by name, or the one called ``name``.
+        """Return the results of a run that are kept apart from its row, by name, or the one called ``name``.
 
         ``row`` is the number of the row in :meth:`table`, the row itself, or the parameters of the run. Of a figure the
-        path of its SVG file is returned.
+        text of its SVG is returned.
         """
         if isinstance(row, Mapping | pd.Series):
             point = {**self.fixed, **{key: parameter_value(key, row[key]) for key in self.design.names}}
         else:
             points = self.points()
             point = points[checks.integer("row", row, maximum=len(points) - 1)]
-        record = self._store.get(self.name).get(canonical(point))
-        if record is None or not record.files:
-            raise ValueError(f"the run {checks.shown(canonical(point))} "
-                             + ("is not stored" if record is None else "keeps no files"))
-        if name is None:
-            return {key: self._files.read(path) for key, path in record.files.items()}
-        if name not in record.files:
-            raise ValueError(f"the run keeps no file {name!r}{checks.suggestion(name, record.files)}; it keeps "
-                             f"{', '.join(record.files)}")
-        return self._files.read(record.files[name])
+        kept = self._store.kept(self.name, canonical(point))
+        if name is None and kept:
+            return {key: unpack(item) for key, item in kept.items()}
+        if name not in kept:
+            raise ValueError(f"the run {checks.shown(canonical(point))} keeps {', '.join(kept) or 'nothing'}, not "
+                             f"{name}{checks.suggestion(name or '', kept)}")
+        return unpack(kept[name])
 
-    def _compute(self, execute: Execute, task: Task, todo: list[Point], total: int, bar: Progress, throw: bool,
+    def _compute(self, execute: Execute, task: Task, todo: list[Point], total: int, progress: Progress, throw: bool,
                  code: Fingerprint, versions: dict[str, str], stored: Mapping[str, Record], owner: str) -> None:
         """Compute runs, and store each when it ends."""
-        runs = execute(task, self._claimed(todo, stored, owner))
+        runs, watch = execute(task, self._claimed(todo, stored, owner)), Watch(self.name, total, total - len(todo))
         try:
-            with _watched(self.name, total, total - len(todo), lambda: getattr(execute, "running", 1), bar) as watch:
+            with _shown(watch, progress) as show:
                 for number, batch in enumerate(runs):
                     for refused in (outcome for _, outcome in batch if outcome.refused and not number):
                         raise ValueError(f"the run function of study {self.name} cannot be used: {refused.error}")
-                    records = [self._record(point, outcome, code, versions) for point, outcome in batch]
-                    self._store.put_all(self.name, records, code.parts)
-                    for (point, outcome), record in zip(batch, records, strict=True):
-                        old = stored.get(canonical(point))
-                        self._files.remove({} if old is None else old.files, record.files)
-                        watch.finished({name: point[name] for name in self.design.names}, outcome)
+                    self._store.put(self.name, [_record(point, outcome, code, versions) for point, outcome in batch],
+                                    code.parts, [outcome.packed for _, outcome in batch])
+                    for point, outcome in batch:
+                        watch.done += 1
+                        watch.failed += bool(outcome.error)
+                        show()
+                        _log.log(logging.WARNING if outcome.error else logging.INFO, "study %s: [%d/%d] %s %s",
+                                 self.name, watch.done, total,
+                                 ", ".join(f"{name}={point[name]!r}" for name in self.design.names),
+                                 f"failed: {outcome.error}" if outcome.error else
+                                 f"done in {outcome.seconds:.3g} s; {watch.words()}")
                         if throw and outcome.error:
                             raise outcome.exception or RuntimeError(outcome.error)
         finally:
@@ -266,31 +304,20 @@ class Study:
     def _claimed(self, todo: Sequence[Point], stored: Mapping[str, Record], owner: str) -> Iterator[Point | None]:
         """Yield the points that this process claims, None while others compute the rest. What another has stored
         meanwhile is left out."""
-        left, count = list(todo), 1
+        left = list(todo)
         while left:
-            held, at = [], 0
-            while at < len(left):
-                points, begin = left[at:at + count], time.perf_counter()
-                keys, at = [canonical(point) for point in points], at + count
-                for point, key, ours in zip(points, keys, self._store.claim(self.name, keys, owner), strict=True):
-                    if not ours:
-                        held.append(point)
-                    elif self._store.one(self.name, key) == stored.get(key):
-                        yield point
-                    else:
-                        self._store.release(owner, key)
-                # a claim takes a write to the disk: next as many runs as take AHEAD_S at the present speed
-                count = max(1, min(2 * count, int(len(points) * self.AHEAD_S / (time.perf_counter() - begin))))
+            held = []
+            for point in left:
+                key = canonical(point)
+                if not self._store.claim(self.name, key, owner):
+                    held.append(point)
+                elif self._store.one(self.name, key) == stored.get(key):
+                    yield point
+                else:
+                    self._store.release(owner, key)
             if len(held) == len(left):
                 yield None
             left = held
-
-    def _record(self, point: Point, outcome: Finished, code: Fingerprint, versions: dict[str, str]) -> Record:
-        files = self._files.write(self.name, canonical(point), outcome.packed)
-        return Record(parameters=point, status="failed" if outcome.error else "done", results=outcome.results | files,
-                      error=outcome.error, traceback=outcome.traceback, seconds=outcome.seconds, code=code.code,
-                      versions=versions, finished=now(), started=outcome.started, machine=outcome.machine,
-                      peak_memory=outcome.peak_memory, tries=outcome.tries, commit=commit(), files=files)
 
     def _fingerprint(self) -> Fingerprint:
         return fingerprint(self._function, self._depends)
@@ -316,6 +343,13 @@ class Study:
                       [(point, record, self._state(record, code, versions)) for point, record in records], details)
         table.attrs = {"study": self.name, "fixed": dict(self.fixed)}
         return table
+
+
+def _record(point: Point, outcome: Finished, code: Fingerprint, versions: dict[str, str]) -> Record:
+    own = {name: getattr(outcome, name) for name in ("results", "error", "traceback", "seconds", "started", "machine",
+                                                     "peak_memory", "tries")}
+    return Record(parameters=point, status="failed" if outcome.error else "done", code=code.code, versions=versions,
+                  finished=now(), commit=commit(), **own)
 
 
 def _executor(workers: int | None, scheduler: str | Client | Cluster | None, runs: int, memory_limit: int | None
@@ -364,61 +398,48 @@ def in_order(points: list[Point], cost: Cost | None, stored: Mapping[str, Record
 
 
 class Watch:
-    """Counts of a running study; ``show`` is called after each run."""
+    """Counts of a running study."""
 
-    def __init__(self, name: str, total: int, before: int, running: Callable[[], int],
-                 show: Callable[[Watch], None] | None = None) -> None:
-        self.name, self.total, self.done, self.failed = name, total, before, 0
-        self._before, self._running, self._show = before, running, show
-        self.lines = False  # whether a line a minute is written on standard error
-        self._begin = self._last = time.monotonic()
-
-    def finished(self, point: Point, outcome: Finished) -> None:
-        """Count a run and report it; ``point`` has the parameters that vary."""
-        self.done += 1
-        self.failed += bool(outcome.error)
-        if self._show is not None:
-            self._show(self)
-        if self.lines and time.monotonic() - self._last >= _EVERY_S:
-            self._last = time.monotonic()
-            sys.stderr.write(f"study {self.name}: {self.done} of {self.total} runs, {self.words()}\n")
-        parameters = ", ".join(f"{name}={value!r}" for name, value in point.items())
-        head = f"study {self.name}: [{self.done}/{self.total}] {parameters}"
-        if outcome.error:
-            _log.warning("%s failed: %s", head, outcome.error)
-        elif self._show is None and _log.isEnabledFor(logging.INFO):
-            _log.info("%s done in %.3g s; %s", head, outcome.seconds, self.words())
+    def __init__(self, name: str, total: int, done: int) -> None:
+        self.name, self.total, self.done, self.failed = name, total, done, 0
+        self._before, self._begin = done, time.monotonic()
 
     def words(self) -> str:
-        """Return failures, runs that are left, and when the study should end at the pace so far."""
+        """Return failures, runs that are left, and how long these take at the pace so far."""
         left, here = self.total - self.done, self.done - self._before
-        failed = f"{self.failed or 'none'} failed"
-        if not left:
-            return f"{failed}, the end"
         seconds = (time.monotonic() - self._begin) / max(here, 1) * left
-        end = datetime.now().astimezone() + timedelta(seconds=seconds)
-        when = f"ends about {end:{'%H:%M:%S' if seconds < 12 * 3600 else '%Y-%m-%d %H:%M'}}" if here else "end unknown"
-        return f"{failed}, {min(self._running(), left)} running, {left} left, {when}"
+        more = f", about {timedelta(seconds=round(seconds))} more" if here and left else ""
+        return f"{self.failed or 'none'} failed, {left} left{more}"
 
 
 @contextmanager
-def _watched(name: str, total: int, before: int, running: Callable[[], int],
-            bar: bool | Callable[[Watch], None] | None) -> Iterator[Watch]:
-    """Yield a watch; with a bar on standard error if ``bar``, or if it is None and standard error is a terminal. A
-    function as ``bar`` is called after each run instead."""
-    # without a console (pythonw, a service) Python has no standard error
-    if callable(bar) or sys.stderr is None or not (sys.stderr.isatty() if bar is None else bar):
-        watch = Watch(name, total, before, running, bar if callable(bar) else None)
-        watch.lines = bar is None and sys.stderr is not None
-        yield watch
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+def _shown(watch: Watch, progress: Progress) -> Iterator[Callable[[], None]]:
+    """Yield what is to be called after each run: the function of the user, or one that updates a bar on standard error;
+    by default a bar on a terminal, elsewhere a line a minute."""
+    if callable(progress):
+        yield lambda: progress(watch)
+    elif progress is False or sys.stderr is None:  # without a console (pythonw, a service)
+        yield lambda: None
+    elif progress or sys.stderr.isatty():
+        from rich import progress as shown
+        from rich.console import Console
 
-    with Progress(TextColumn("{task.description}", markup=False), BarColumn(24), MofNCompleteColumn(),
-                  TimeElapsedColumn(), TextColumn("{task.fields[words]}"), console=Console(stderr=True)) as shown:
-        task = shown.add_task(name, total=total, completed=before, words="")
-        watch = Watch(name, total, before, running,
-                      lambda watch: shown.update(task, completed=watch.done, words=watch.words()))
-        shown.update(task, words=watch.words())
-        yield watch
+        with shown.Progress(shown.TextColumn("{task.description}", markup=False), shown.BarColumn(24),
+                            shown.MofNCompleteColumn(), shown.TimeElapsedColumn(),
+                            shown.TextColumn("{task.fields[words]}"), console=Console(stderr=True)) as bar:
+            task = bar.add_task(watch.name, total=watch.total, completed=watch.done, words=watch.words())
+            yield lambda: bar.update(task, completed=watch.done, words=watch.words())
+    else:
+        yield _line_a_minute(watch)
+
+
+def _line_a_minute(watch: Watch) -> Callable[[], None]:
+    last = time.monotonic()
+
+    def show() -> None:
+        nonlocal last
+        if time.monotonic() - last >= _EVERY_S:
+            last = time.monotonic()
+            say(f"study {watch.name}: {watch.done} of {watch.total} runs, {watch.words()}")
+
+    return show

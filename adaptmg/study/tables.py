@@ -1,4 +1,4 @@
-"""Tables as aligned text, with units in the headers."""
+"""Tables: the runs of a study as a table of pandas, and tables as aligned text with units in the headers."""
 
 from __future__ import annotations
 
@@ -10,11 +10,36 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adaptmg._text import printable
+from adaptmg.study.designs import Value
+from adaptmg.study.execute import RESERVED
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from adaptmg.study.store import Record
+
     Table = pd.DataFrame | Mapping[str, Sequence[object]]
+
+#: columns that :meth:`adaptmg.study.Study.table` adds as details
+DETAILS = ("tries", "peak_memory", "started", "finished", "machine", "commit", "traceback")
+
+
+def frame(names: Sequence[str], rows: Sequence[tuple[Mapping[str, Value], Record | None, str]],
+          details: bool = False) -> pd.DataFrame:
+    """Return a table of runs: parameters by ``names``, results, status, seconds, error, and details."""
+    import pandas as pd
+
+    more, lines = DETAILS if details else (), []
+    for point, record, status in rows:
+        own = {} if record is None else {name: getattr(record, name) for name in ("seconds", "error", *more)}
+        lines.append({"error": "", **dict.fromkeys(more), **{name: point.get(name) for name in names}, **own,
+                      **(record.results if record else {}), "status": status})
+    results = (name for _, record, _ in rows if record is not None for name in record.results)
+    columns = {name: [line.get(name, math.nan) for line in lines]
+               for name in dict.fromkeys((*names, *results, *RESERVED, *more))}
+    # texts that are not UTF-8 are refused by the text columns of pandas with pyarrow
+    return pd.DataFrame({name: pd.Series(column, dtype=object if any(isinstance(v, str) for v in column) else None)
+                         for name, column in columns.items()})
 
 
 def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,

@@ -15,8 +15,7 @@ import adaptmg as am
 from adaptmg.cli import build
 from adaptmg.cli.build import sections
 from adaptmg.study import Study
-from adaptmg.study.record import Record
-from adaptmg.study.store import Store
+from adaptmg.study.store import Record, Store
 
 SCRIPT = """
 import adaptmg as am
@@ -241,7 +240,7 @@ def test_a_page_and_its_table_stand_beside_the_store(report):
 def test_a_page_says_what_all_runs_share_and_when_they_ran(report):
     store = Store("s.sqlite")
     same = {"case.case": "greco_bar", "h.sizes": (0.01, 5e-3)}
-    store.put_all("study", [Record(parameters=same | {"case.friction": k / 2}, status="done", machine="node7",
+    store.put("study", [Record(parameters=same | {"case.friction": k / 2}, status="done", machine="node7",
                                    results={"max_pressure": 1e6 * k, "text": "\udcff"}, commit="c" * 40,
                                    finished=f"2026-01-0{k}T10:00:00") for k in range(1, 4)])
     assert report("s.sqlite")[0] == 0

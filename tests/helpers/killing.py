@@ -10,7 +10,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
 import psutil
 
 __all__ = ["campaign"]
@@ -91,8 +90,10 @@ def _records(path: Path) -> dict:
 
 def _bits(path: Path) -> dict[str, bytes]:
     """What the runs gave, to the last bit."""
-    return {key: repr(sorted((name, value) for name, value in record.results.items() if name != "u")).encode()
-            + np.load(Path(f"{path}.files", record.files["u"])).tobytes() for key, record in _records(path).items()}
+    from adaptmg.study.store import Store
+
+    return {key: repr(sorted(record.results.items())).encode() + Store(path).kept("run", key)["u"].content
+            for key, record in _records(path).items()}
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from hostile_table import Hostile, each
 
 import adaptmg as am
 from adaptmg.study import store as study_store
-from adaptmg.study.record import Record
+from adaptmg.study.store import Record
 
 STEPS, FACTORS = 3, {"left": np.array([0.5, 1.0, 0.0])}
 
@@ -118,7 +118,7 @@ def good(rows: int) -> bytes:
     made = study_store.Store("good.sqlite")
     made._connection.execute("PRAGMA synchronous = OFF")
     for k in range(rows):
-        made.put("s", Record(parameters={"n": k}, status="done", results={"m": 1.5}, versions={"python": "3"}))
+        made.put("s", [Record(parameters={"n": k}, status="done", results={"m": 1.5}, versions={"python": "3"})])
     assert len(made.get("s")) == rows
     made._connection.close()
     return Path("good.sqlite").read_bytes()
@@ -138,7 +138,7 @@ def read(path: object = "study.sqlite") -> None:
     store = study_store.Store(path)
     store.studies()
     store.get("s")
-    store.put("s", Record(parameters={"n": 0}, status="done"))
+    store.put("s", [Record(parameters={"n": 0}, status="done")])
 
 
 def _locked() -> None:
@@ -166,19 +166,17 @@ def _protected() -> None:
     database()
     store = study_store.Store("study.sqlite")
     store._connection.execute("PRAGMA query_only = ON")
-    store.put("s", Record(parameters={"n": 0}, status="done"))
+    store.put("s", [Record(parameters={"n": 0}, status="done")])
 
 
 _STUDIES = {
-    "bad UTF-8": "UPDATE runs SET results = CAST(x'7b22ff' AS TEXT)", "junk JSON": "UPDATE runs SET results = '{\"'",
-    "a nested result": "UPDATE runs SET results = '{\"a\": [1]}'",
-    "seconds of text": "UPDATE runs SET seconds = 'long'", "a date that is a blob": "UPDATE runs SET finished = x'78'",
-    "junk files": "UPDATE runs SET files = '{\"a\": 1}'",
+    "bad UTF-8": "UPDATE runs SET record = CAST(x'7b22ff' AS TEXT)", "junk JSON": "UPDATE runs SET record = '{\"'",
+    "other JSON": "UPDATE runs SET record = '{\"a\": [1]}'", "numbers for JSON": "UPDATE runs SET record = 3",
+    "a blob": "UPDATE runs SET record = x'00ff'", "junk parameters": "UPDATE runs SET parameters = 'n=1'",
+    "a list for parameters": "UPDATE runs SET parameters = '[1]'",
+    "deep JSON": f"UPDATE runs SET record = '{'[' * 10**5}'",
     "a foreign database": "DROP TABLE runs; DROP TABLE origins; CREATE TABLE mine (x); PRAGMA user_version = 0",
-    "numbers for JSON": "UPDATE runs SET versions = 3", "junk parameters": "UPDATE runs SET parameters = 'n=1'",
-    "an error that is a blob": "UPDATE runs SET error = x'00ff'", "no table": "DROP TABLE runs",
-    "deep JSON": f"UPDATE runs SET results = '{'[' * 10**5}'",
-    "another table": "DROP TABLE runs; CREATE TABLE runs (id, name)",
+    "no table": "DROP TABLE runs", "another table": "DROP TABLE runs; CREATE TABLE runs (id, name)",
     "an endless view": "CREATE VIEW points AS WITH RECURSIVE n(study, parameters) AS (SELECT 's', 1 "
                        "UNION ALL SELECT study, parameters + 1 FROM n) SELECT * FROM n",
     "a trigger": "CREATE TRIGGER t AFTER INSERT ON runs BEGIN DELETE FROM runs; END",

@@ -47,12 +47,12 @@ def test_a_sobol_sequence_is_extended_and_no_point_runs_twice():
 
 @pytest.mark.parametrize(("make", "error", "match"), [
     (lambda: Grid({"n": itertools.count()}), TypeError, "no end"),
-    (lambda: Grid({"n": (k for k in range(3))}), TypeError, "length is known"),
+    (lambda: Grid({"n": (k for k in range(3))}), TypeError, "no end"),
     (lambda: Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
-    (lambda: Points([{"n": 1}, {"n": 1}]), ValueError, "points 0 and 1 are the same"),
+    (lambda: Points([{"n": 1}, {"n": 1}]), ValueError, "the same as one before it"),
     (lambda: Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
     (lambda: Points([]), TypeError, "list of mappings"),
-    (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "must go up"),
+    (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "go up"),
     (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
     (lambda: Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite")])
 def test_wrong_designs_are_refused_before_memory_is(make, error, match):

@@ -15,7 +15,7 @@ import pytest
 import adaptmg as am
 from adaptmg.solver.fingerprint import environment, fingerprint
 from adaptmg.study import Study
-from adaptmg.study.record import Record
+from adaptmg.study.store import Record
 
 FACTOR, TABLE, ARRAY = 2, {"a": [1, 2.0]}, np.arange(4.0)
 LOCK, GENERATOR = threading.Lock(), np.random.default_rng(0)
@@ -97,7 +97,7 @@ def test_a_study_does_not_give_the_value_of_another_constant(tmp_path, monkeypat
 def test_rows_of_another_version_of_the_fingerprint_are_stale(tmp_path):
     study = Study(uses_factor, {"n": [1]}, tmp_path / "s.sqlite")
     old = Record(parameters={"n": 1}, status="done", results={"m": 5}, code="of another form", versions=environment())
-    study._store.put_all("uses_factor", [old], {"module test_fingerprint": "1"})
+    study._store.put("uses_factor", [old], {"module test_fingerprint": "1"})
     assert study.status().reasons["module test_fingerprint is gone"] == 1
     assert study.run(progress=False)["m"].tolist() == [2] and study.status().done == 1
 

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 from adaptmg.study import Study, as_text, study
+from adaptmg.study.designs import canonical
 from adaptmg.study.execute import compute
-from adaptmg.study.record import Record, canonical
-from adaptmg.study.store import Store
+from adaptmg.study.store import Record, Store
 from adaptmg.study.study import in_order
 
 CALLS: list[dict] = []
@@ -226,7 +226,7 @@ def test_each_run_is_reported(capsys, caplog, monkeypatch):
     assert "study s: [2/3] n=0 failed: ZeroDivisionError" in caplog.text and "[1/3] n=1 done" in caplog.text
     study.run(progress=True)
     out, err = capsys.readouterr()
-    assert out == "" and "3/3" in err and "1 failed, the end" in err
+    assert out == "" and "3/3" in err and "1 failed, 0 left" in err
     monkeypatch.setattr("sys.stderr", None)
     for progress in (None, True):
         assert sweep(case, {"sweeps": [1]}).run(progress=progress)["status"].tolist() == ["done"]
