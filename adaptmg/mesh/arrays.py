@@ -6,7 +6,7 @@ is identified by its sorted nodes :math:`a < b (< c)`, packed into one integer :
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -63,16 +63,6 @@ class Refinement:
         return type(self), tuple(getattr(self, one.name) for one in fields(self))
 
 
-@dataclass(frozen=True)
-class Lattice:
-    """The nodes of a body of a structured mesh: x runs fastest, and each cell is cut along its diagonal from the lowest
-    to the highest corner."""
-
-    lower: tuple[float, ...]  # corners of the rectangle or box
-    upper: tuple[float, ...]
-    counts: tuple[int, ...]  # cells along each axis
-
-
 @dataclass(frozen=True, eq=False)
 class MeshArrays:
     """A mesh of triangles or tetrahedra with named boundaries.
@@ -111,8 +101,8 @@ class MeshArrays:
     refinement : Refinement or None
         The history of a bisected mesh, which further bisection needs. Pickled, but not saved in a result;
         a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
-    lattices : tuple of Lattice
-        By which interpolation between structured meshes needs no search, one a body; empty for other meshes.
+    uniform : bool
+        Whether :func:`adaptmg.mesh.structured` made it: of such meshes errors fall evenly.
     notes : tuple of str
         What :func:`adaptmg.mesh.from_file` says of the file: elements that were cut, materials, what was not read.
 
@@ -134,7 +124,7 @@ class MeshArrays:
     source: ngsolve.Mesh | None = field(default=None, repr=False)
     sound: bool = field(default=False, init=False, repr=False)
     refinement: Refinement | None = field(default=None, init=False, repr=False)
-    lattices: tuple[Lattice, ...] = field(default=(), init=False, repr=False)
+    uniform: bool = field(default=False, init=False, repr=False)
     notes: tuple[str, ...] = field(default=(), init=False, repr=False)
 
     if TYPE_CHECKING:
@@ -168,7 +158,7 @@ class MeshArrays:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
         return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
                             self.element_body, self.bodies), {name: getattr(self, name)
-                                                       for name in ("sound", "refinement", "lattices", "notes")}
+                                                       for name in ("sound", "refinement", "uniform", "notes")}
 
     def __copy__(self) -> MeshArrays:
         # what is frozen needs no second copy, and a source that nobody has asked for yet is built once
@@ -369,10 +359,10 @@ def swept(mesh: MeshArrays) -> MeshArrays:
                                          source=None))
 
 
-def sound_by_construction(mesh: MeshArrays, lattices: Iterable[Lattice] = ()) -> MeshArrays:
+def sound_by_construction(mesh: MeshArrays, uniform: bool = False) -> MeshArrays:
     """Return the mesh, not checked (it was written down as it must be), with a source on demand."""
     result = trusted(mesh, OnDemand(_ngsolve_mesh))
-    object.__setattr__(result, "lattices", tuple(lattices))
+    object.__setattr__(result, "uniform", uniform)
     return result
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._text import warn_user
-from adaptmg.mesh.arrays import MOST_NODES, Lattice, MeshArrays, facet_table, normalised, sound_by_construction
+from adaptmg.mesh.arrays import MOST_NODES, MeshArrays, facet_table, normalised, sound_by_construction
 from adaptmg.mesh.domains import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.combined_domains import Assembly
@@ -135,9 +135,7 @@ def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> Me
         points.reshape(*(n + 1 for n in counts[::-1]), dim)[..., k] = side.reshape(-1, *[1] * k)
     for array in (points, elements):
         array.flags.writeable = False
-    lattice = Lattice(tuple(domain.lower), tuple(domain.upper), counts)
-    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries),
-                                 [lattice] if diagonal == "right" else [])
+    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries), diagonal == "right")
 
 
 def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
@@ -299,7 +297,7 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
         facet_labels=np.concatenate([mesh.facet_labels + start for mesh, start in zip(parts, labels, strict=True)]),
         boundaries=tuple(f"{body}.{name}" for body, mesh in meshes.items() for name in mesh.boundaries),
         element_body=np.repeat(np.arange(len(parts)), [len(mesh.elements) for mesh in parts]), bodies=tuple(meshes)),
-        [mesh.lattices[0] for mesh in parts] if all(mesh.lattices for mesh in parts) else [])
+        all(mesh.uniform for mesh in parts))
 
 
 def _starts(counts: Iterable[int]) -> np.ndarray:

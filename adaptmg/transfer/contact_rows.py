@@ -35,7 +35,7 @@ from adaptmg.discrete.contact_nodes import ContactNodes, largest_entry
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.transfer.interpolation import Interpolation, Transfer, csr_from_weights, nodes_of_bodies, on_lattices
+from adaptmg.transfer.interpolation import Transfer, csr_from_weights, nodes_of_bodies
 
 
 def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_facets: np.ndarray,
@@ -78,14 +78,11 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
     contact, coupling = fine_problem.contact, fine_problem.coupling
     if coupling is not None:
         _check_bodies(nodal, coarse, fine, transfer)
-    # there the rows of interpolation are those along the boundaries
-    exact = isinstance(transfer, Interpolation) and on_lattices(coarse, fine)
-    slaves = {name: contact.nodes[contact.boundary == k] for k, name in enumerate(contact.names)}
-    slave_rows = [(nodes, nodal[nodes]) if exact else _along(coarse, fine, name, nodes)
-                  for name, nodes in slaves.items()]
+    slave_rows = [_along(coarse, fine, name, contact.nodes[contact.boundary == k])
+                  for k, name in enumerate(contact.names)]
     for face, other in _crack_faces(fine, contact):
         nodal = with_contact_rows(nodal, *_along(coarse, fine, face, _on_side(nodal, coarse, fine, face, other)))
-    if contact_rows and not exact:
+    if contact_rows:
         master_rows = [_along(coarse, fine, name, fine.boundary_nodes(name)) for name in contact.masters if name]
         for nodes, rows in (*master_rows, *slave_rows):
             nodal = with_contact_rows(nodal, nodes, rows)

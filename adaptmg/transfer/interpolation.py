@@ -18,7 +18,6 @@ its distance is not a scale.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -61,8 +60,6 @@ class Interpolation:
 
         ValueError if a fine node lies outside by more than a quarter of an element, or bodies or dimensions differ.
         """
-        if (rows := between_lattices(coarse, fine)) is not None:
-            return rows
         found = locate_nodes(coarse, fine)
         return csr_from_weights(coarse.elements[found.element], found.weights, coarse.n_nodes)
 
@@ -141,74 +138,6 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
             f"({np.count_nonzero(relative > OUTSIDE_TOLERANCE)} nodes exceed {OUTSIDE_TOLERANCE:g}). Both meshes must "
             "describe the same body in the same units; if they do, refine the coarse mesh at the curved boundary")
     return Location(element=element, weights=weights, distance=distance)
-
-
-def on_lattices(coarse: MeshArrays, fine: MeshArrays) -> bool:
-    """Return whether both meshes are structured, of the same bodies."""
-    alike = [(a.lower, a.upper) == (b.lower, b.upper) for a, b in zip(coarse.lattices, fine.lattices, strict=False)]
-    return coarse.bodies == fine.bodies and len(alike) == len(fine.bodies) and all(alike)
-
-
-def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
-    """Return what :class:`Interpolation` builds between structured meshes of the same bodies, to rounding; None for
-    others."""
-    _check_meshes(coarse, fine)
-    if not on_lattices(coarse, fine):
-        return None
-    most, node, column, count = (fine.dim + 1) * fine.n_nodes, 0, 0, 0
-    indptr, indices, data = np.zeros(fine.n_nodes + 1, dtype=np.int32), np.empty(most, dtype=np.int32), np.empty(most)
-    for below, above in zip(coarse.lattices, fine.lattices, strict=True):
-        places = [np.divmod(np.arange(n + 1) * m, n) for m, n in zip(below.counts, above.counts, strict=True)]
-        strides = np.cumprod([1, *(m + 1 for m in below.counts)])
-        lowest = np.concatenate([stride * q for stride, (q, _) in zip(strides, places, strict=False)])
-        shares = np.concatenate([r / n for (_, r), n in zip(places, above.counts, strict=True)])
-        end = node + math.prod(n + 1 for n in above.counts)
-        count = _lattice_rows(node, end, column, np.array(above.counts) + 1, strides, lowest, shares,
-                              *np.zeros((2, len(strides)), dtype=np.int64), np.empty(len(strides)), indptr, indices,
-                              data, count)
-        node, column = end, column + int(strides[-1])
-    indices, data = indices[:count].copy(), data[:count].copy()
-    result = sparse.csr_array((data, indices, indptr), shape=(fine.n_nodes, coarse.n_nodes))
-    result.has_sorted_indices = result.has_canonical_format = True
-    return result
-
-
-@kernel
-def _lattice_rows(node, end, start, sides, strides, lowest, shares, place, axis, share, indptr, indices, data,
-                  count):
-    """Rows of interpolation for a lattice with ``sides`` nodes along its axes, from ``node`` to ``end``, behind
-    ``count`` entries; returns the new number of entries. Along the axes, one after the other, ``lowest`` are the places
-    below in the coarse lattice, which begins with node ``start``, times its ``strides``, and ``shares`` the parts of a
-    cell beyond. ``place``, zeros before and after, ``axis`` and ``share`` (dim + 1,) are overwritten."""
-    dim = len(sides)
-    for i in range(node, end):
-        column, first = start, 0
-        for k in range(dim):
-            at = first + place[k]
-            column += lowest[at]
-            # from the largest share to the smallest: the corners of the simplex that holds the node
-            to = k
-            while to > 0 and share[to - 1] < shares[at]:  # one further down each time
-                axis[to], share[to] = axis[to - 1], share[to - 1]
-                to -= 1
-            axis[to], share[to] = k, shares[at]
-            first += sides[k]
-        share[dim] = 0.0
-        before = 1.0
-        for k in range(dim + 1):
-            if before > share[k]:
-                indices[count], data[count] = column, before - share[k]
-                count += 1
-            before = share[k]
-            column += strides[axis[k]] if k < dim else 0
-        indptr[i + 1] = count
-        k = 0
-        while k < dim and place[k] == sides[k] - 1:  # one axis further each time
-            place[k] = 0
-            k += 1
-        if k < dim:
-            place[k] += 1
-    return count
 
 
 CLIP = 1e-10
