@@ -1,8 +1,8 @@
 r"""of_boundary: the Delaunay triangulation of a closed boundary and of slits; nodes put into triangles.
 
 Put one by one into the two triangles of a box around the domain, with swaps of edges (C. L. Lawson, 1977), nodes give a
-Delaunay triangulation. Where it lacks an edge of the boundary, the triangles that this edge crosses are replaced (M. V.
-Anglada, 1997); triangles outside are dropped. An edge of a slit is given in both directions: triangles on its two sides
+Delaunay triangulation. Where it lacks an edge of the boundary, the edges that this one crosses are swapped (S. W.
+Sloan, 1993); triangles outside are dropped. An edge of a slit is given in both directions: triangles on its two sides
 are no neighbours.
 
 Triangles and their neighbours are a closed table from the first to the last step, and no step turns a triangle over.
@@ -11,10 +11,12 @@ Triangles and their neighbours are a closed table from the first to the last ste
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.geometry.predicates import in_circle, turn
-from adaptmg.mesh.improve import opposite, replace_neighbour, swap_edge
+from adaptmg.geometry.predicates import turn
+from adaptmg.mesh.improve import opposite, replace_neighbour, swap, swap_all, swap_edge
 
 #: nodes after which kernels come back to Python, so that Ctrl-C ends them
 BATCH = 50_000
@@ -50,14 +52,30 @@ def of_boundary(places: np.ndarray, edges: np.ndarray, spread: bool) -> tuple[np
     at, missing = np.empty(n + 4, dtype=np.int64), np.zeros(len(edges), dtype=bool)
     at[elements[:count]] = np.arange(count)[:, None]
     for begin in range(0, len(edges), BATCH):
-        _force(points, elements, across, count, start, tails, heads, begin, min(len(edges), begin + BATCH), at, missing)
+        _force(points, elements, across, start, tails, heads, begin, min(len(edges), begin + BATCH), at, missing)
     if missing.any():
         found[rows] = ~missing
         return elements, across, found
-    there = np.zeros(len(edges), dtype=bool)
-    count = _cut_out(elements, across, count, start, heads, there)
-    found[rows] = there
-    return elements[:count], across[:count], found
+    elements, across, found[rows] = _inside(elements[:count], across[:count], n + 4, tails, heads)
+    while swap_all(points, elements, across):  # as long as any edge that was swapped for others is not Delaunay
+        pass
+    return elements, across, found
+
+
+def _inside(elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.ndarray, heads: np.ndarray
+            ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The triangles inside the boundary, their neighbours, and which edges are there."""
+    begins, ends = (np.roll(elements, -k, axis=1).astype(np.int64) for k in (1, 2))
+    keys, edges = np.stack([begins * n_nodes + ends, ends * n_nodes + begins]), tails * n_nodes + heads
+    along, against = np.isin(keys, edges)
+    found = np.isin(edges, keys[0])
+    across = np.where(along | against, -1, across)
+    e, k = np.nonzero(across >= 0)
+    graph = sparse.coo_array((np.ones(len(e), dtype=bool), (e, across[e, k])), shape=(len(elements),) * 2)
+    part = connected_components(graph, directed=False)[1]
+    inside = np.isin(part, part[along.any(axis=1)])
+    number = np.append(np.cumsum(inside) - 1, -1).astype(np.int32)
+    return elements[inside], number[across[inside]], found
 
 
 @inner_kernel
@@ -149,150 +167,70 @@ def _edge(start, heads, a, b):
 
 
 @inner_kernel
-def _crossed(points, elements, across, start, heads, e, a, b, chains, outer, cells):
-    """Look from node a, a corner of triangle e, to node b. Fill ``cells``, the triangles between them; ``chains``, the
-    nodes to the right and to the left from a to b; and ``outer``: start, end, and triangle beyond, of the sides of all
-    these triangles. Returns the numbers of triangles, of nodes to the right and to the left; no triangles where the
-    edge is there, -1 and the first node of what is in the way where that is an edge of the boundary, or a node."""
+def _towards(points, elements, across, e, a, b):
+    """Look from node a, a corner of triangle e, to node b. Returns the triangle in between and its corner a; -1 and b
+    where the edge is there, -1 and another node that is in the way."""
     first = e
     while True:  # once around a
-        k = 0 if elements[e, 0] == a else 1 if elements[e, 1] == a else 2
+        k = np.int64(0 if elements[e, 0] == a else 1 if elements[e, 1] == a else 2)
         u, v = np.int64(elements[e, (k + 1) % 3]), np.int64(elements[e, (k + 2) % 3])
         if u == b or v == b:
-            return 0, 0, 0
+            return np.int64(-1), b
         right, left = turn(points, a, u, b), turn(points, a, v, b)
         ahead = ((points[u, 0] - points[a, 0]) * (points[b, 0] - points[a, 0])
                  + (points[u, 1] - points[a, 1]) * (points[b, 1] - points[a, 1]))
         if right == 0.0 and ahead > 0.0:
-            return -1, u, 0
+            return np.int64(-1), u
         if right > 0.0 and left < 0.0:
-            break
+            return e, k
         e = np.int64(across[e, (k + 1) % 3])
         if e == first:
-            return -1, np.int64(a), 0
-    chains[0, 0], chains[0, 1], chains[1, 0], chains[1, 1], n, n_right, n_left = a, u, a, v, 0, 2, 2
-    # on the way no triangle comes twice
-    while True:
-        for j in range(3):
-            outer[3 * n + j, 0], outer[3 * n + j, 1] = elements[e, (j + 1) % 3], elements[e, (j + 2) % 3]
-            outer[3 * n + j, 2] = across[e, j]
-        cells[n] = e
-        n += 1
-        if elements[e, 0] == b or elements[e, 1] == b or elements[e, 2] == b:
-            chains[0, n_right], chains[1, n_left] = b, b
-            return n, n_right + 1, n_left + 1
-        if max(_edge(start, heads, u, v), _edge(start, heads, v, u)) >= 0:
-            return -1, u if _edge(start, heads, u, v) >= 0 else v, 0
-        e = np.int64(across[e, opposite(elements, e, u, v)])
-        w = np.int64(elements[e, opposite(elements, e, u, v)])
-        side = turn(points, a, b, w)
-        if w != b and side == 0.0:
-            return -1, w, 0
-        if w != b and side > 0.0:
-            v, chains[1, n_left], n_left = w, w, n_left + 1
-        elif w != b:
-            u, chains[0, n_right], n_right = w, w, n_right + 1
+            return np.int64(-1), a
 
 
 @inner_kernel
-def _retriangulate(points, elements, chain, m, cells, n, ranges):
-    """Write Delaunay triangles (M. V. Anglada, 1997) between the m nodes of a chain, counter-clockwise, from number n
-    of ``cells`` on; returns the number after the last."""
-    ranges[0, 0], ranges[0, 1], depth = 0, m - 1, 1
-    while depth > 0:  # a range of k nodes leaves two which have k + 1
-        depth -= 1
-        low, high = ranges[depth, 0], ranges[depth, 1]
-        best = np.int64(-1)
-        for k in range(low + 1, high):
-            if turn(points, chain[low], chain[k], chain[high]) > 0.0 and (
-                    best < 0 or in_circle(points, chain[low], chain[best], chain[high], chain[k]) > 0.0):
-                best = k
-        if best < 0:
-            continue
-        e = cells[n]
-        elements[e, 0], elements[e, 1], elements[e, 2] = chain[low], chain[best], chain[high]
-        n += 1
-        for begin, end in ((low, best), (best, high)):
-            if end - begin > 1:
-                ranges[depth, 0], ranges[depth, 1] = begin, end
-                depth += 1
-    return n
+def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
+    """Go from node a, corner k of triangle e, to node b, and swap the first edge on the way that ends to the left in
+    node ``far`` and is the diagonal of a strictly convex quadrilateral. Returns whether, and the farthest node to the
+    left before; -1 and the first node of what is in the way where that is an edge of the boundary, or a node."""
+    farthest, most = np.int64(-1), 0.0
+    while True:  # no triangle comes twice
+        behind, u, v = np.int64(elements[e, k]), np.int64(elements[e, (k + 1) % 3]), np.int64(elements[e, (k + 2) % 3])
+        if max(_edge(start, heads, u, v), _edge(start, heads, v, u)) >= 0:
+            return -1, u if _edge(start, heads, u, v) >= 0 else v
+        f = np.int64(across[e, k])
+        w = np.int64(elements[f, opposite(elements, f, u, v)])
+        if v == far and turn(points, behind, u, w) > 0.0 and turn(points, w, v, behind) > 0.0:
+            swap(elements, across, e, k)
+            at[behind] = at[u] = at[w] = e
+            at[v] = f
+            return 1, farthest
+        height = turn(points, a, b, v)
+        if height > most:
+            farthest, most = v, height
+        side = turn(points, a, b, w)
+        if w == b or side == 0.0:
+            return (0, farthest) if w == b else (-1, w)
+        # the edge that is crossed next lies opposite the node that is left behind
+        e, k = f, np.int64(opposite(elements, f, w, u if side > 0.0 else v))
 
 
 @kernel
-def _force(points, elements, across, count, start, tails, heads, begin, end, at, missing):
-    """Make edges from ``tails`` to ``heads``; ``at``: a triangle of each node. ``missing`` becomes True for those that
-    cross others, and for these."""
-    chains, outer = np.empty((2, count + 2), dtype=np.int64), np.empty((3 * count, 3), dtype=np.int64)
-    cells, ranges = np.empty(count, dtype=np.int64), np.empty((count, 2), dtype=np.int64)
+def _force(points, elements, across, start, tails, heads, begin, end, at, missing):
+    """Make edges from ``tails`` to ``heads`` by swaps; ``at``: a triangle of each node. ``missing`` becomes True for
+    those that cross others, and for these. At the farthest of the nodes to the left of an edge some edge that it
+    crosses can be swapped, until none ends there: no more swaps than the square of the edges that are crossed."""
     for edge in range(begin, end):
         a, b = tails[edge], heads[edge]
-        n, n_right, n_left = _crossed(points, elements, across, start, heads, at[a], a, b, chains, outer, cells)
-        if n < 0:
-            missing[edge] = missing[min(start[min(n_right, len(start) - 1)], len(missing) - 1)] = True
-        if n <= 0:
-            continue
-        # the left chain from b to a
-        for i in range(n_left // 2):
-            chains[1, i], chains[1, n_left - 1 - i] = chains[1, n_left - 1 - i], chains[1, i]
-        half = _retriangulate(points, elements, chains[0], n_right, cells, np.int64(0), ranges)
-        if _retriangulate(points, elements, chains[1], n_left, cells, half, ranges) < n:
-            missing[:] = True
-            return
-        for i in range(n):
-            e = cells[i]
-            for k in range(3):
-                p, q = elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-                at[p] = e
-                across[e, k] = -1
-                for j in range(3 * n):
-                    f, m = cells[j // 3], j % 3
-                    if elements[f, (m + 1) % 3] == q and elements[f, (m + 2) % 3] == p:
-                        across[e, k] = f
-                if across[e, k] >= 0:
-                    continue
-                for j in range(3 * n):
-                    if outer[j, 0] == p and outer[j, 1] == q:
-                        f = across[e, k] = outer[j, 2]
-                        if f >= 0:
-                            across[f, opposite(elements, f, p, q)] = e
-
-
-@kernel
-def _cut_out(elements, across, count, start, heads, found):
-    """Drop the triangles outside. ``found`` becomes True for the edges that are there. Returns how many triangles are
-    left."""
-    # triangles to the left of edges of the boundary, and all that hang together with them
-    number = np.full(count, -1, dtype=np.int32)
-    queue, last = np.empty(count, dtype=np.int64), 0
-    for e in range(count):
-        for k in range(3):
-            i = _edge(start, heads, elements[e, (k + 1) % 3], elements[e, (k + 2) % 3])
-            if i >= 0:
-                found[i] = True
-                across[e, k] = -1
-                if number[e] < 0:
-                    number[e], queue[last] = 0, e
-                    last += 1
-    for i in range(len(found)):
-        if not found[i]:
-            return 0
-    for first in range(count):
-        # no triangle is put into the queue twice
-        for k in range(3 if first < last else 0):
-            f = across[queue[first], k]
-            if f >= 0 and number[f] < 0:
-                number[f], queue[last] = 0, f
-                last += 1
-    left = 0
-    for e in range(count):
-        if number[e] == 0:
-            number[e] = left
-            left += 1
-    for e in range(count):
-        if number[e] >= 0:
-            for k in range(3):
-                f = across[e, k]
-                elements[number[e], k] = elements[e, k]
-                across[number[e], k] = number[f] if f >= 0 else -1
-    return left
+        for _ in range(len(elements)):
+            e, node = _towards(points, elements, across, at[a], a, b)
+            if e < 0:
+                break
+            k = node
+            swapped, node = _swap_towards(points, elements, across, start, heads, e, k, a, b, np.int64(-1), at)
+            if swapped == 0:
+                swapped, node = _swap_towards(points, elements, across, start, heads, e, k, a, b, node, at)
+            if swapped < 1:
+                break
+        if node != b:
+            missing[edge] = missing[min(start[min(node, len(start) - 1)], len(missing) - 1)] = True

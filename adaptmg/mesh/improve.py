@@ -293,15 +293,25 @@ def opposite(elements, e, a, b):
 @inner_kernel
 def swap_edge(points, elements, across, e, k):
     """Swap the edge opposite corner k of an element, which has a neighbour there, unless it is Delaunay; returns
-    whether. The corner k then comes first in both elements. An edge that is not Delaunay is the diagonal of a convex
-    quadrilateral: no element is turned over. On fixed points swaps end (C. L. Lawson, 1977): the test is exact, and
-    each swap lowers the surface of triangles with the heights x^2 + y^2."""
+    whether. An edge that is not Delaunay is the diagonal of a convex quadrilateral: no element is turned over. On fixed
+    points swaps end (C. L. Lawson, 1977): the test is exact, and each swap lowers the surface of triangles with the
+    heights x^2 + y^2."""
+    a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+    d = elements[across[e, k], opposite(elements, across[e, k], b, c)]
+    if not in_circle(points, np.int64(a), np.int64(b), np.int64(c), np.int64(d)) > 0.0:
+        return False
+    swap(elements, across, e, k)
+    return True
+
+
+@inner_kernel
+def swap(elements, across, e, k):
+    """Swap the edge opposite corner k of an element, the diagonal of a convex quadrilateral. The corner k then comes
+    first in both elements."""
     f = np.int64(across[e, k])
     a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
     m = opposite(elements, f, b, c)
     d = elements[f, m]
-    if not in_circle(points, np.int64(a), np.int64(b), np.int64(c), np.int64(d)) > 0.0:
-        return False
     beside_b, beside_c = across[e, (k + 2) % 3], across[e, (k + 1) % 3]
     over_b, over_c = across[f, (m + 1) % 3], across[f, (m + 2) % 3]
     # f = d c b: opposite c lies the edge b d, opposite b the edge d c
@@ -311,11 +321,10 @@ def swap_edge(points, elements, across, e, k):
     across[f, 0], across[f, 1], across[f, 2] = over_c, beside_c, e
     replace_neighbour(across, over_b, f, e)
     replace_neighbour(across, beside_c, e, f)
-    return True
 
 
 @kernel
-def _swap(points, elements, across):
+def swap_all(points, elements, across):
     """Swap edges once through the mesh; returns how many."""
     swapped = 0
     for e in range(len(elements)):
@@ -380,9 +389,9 @@ def improved_triangles(points: np.ndarray, elements: np.ndarray, held: np.ndarra
     across = np.full(elements.shape, -1, dtype=np.int32)
     _across(elements, *around, across)
     for _ in range(rounds):
-        swaps = [_swap(points, elements, across)]
+        swaps = [swap_all(points, elements, across)]
         while swaps[-1] and len(swaps) < _SWEEPS:
-            swaps.append(_swap(points, elements, across))
+            swaps.append(swap_all(points, elements, across))
         if swaps[0]:
             around = cells_around(elements, len(points))
         for begin in range(0, len(points), _BATCH):

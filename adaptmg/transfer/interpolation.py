@@ -25,7 +25,6 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._numba import kernel
 from adaptmg.geometry.location import Location, SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays, longest_edges
 
@@ -166,58 +165,31 @@ def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
     return sparse.csr_array((matrix.data[kept], matrix.indices[kept], indptr), shape=matrix.shape)
 
 
-@kernel
-def _moment_systems(indptr, indices, data, points, centres, target, gram, residual, scale):
-    """Gram matrices G and residuals of every row; ``scale`` grows to the extent of the row, if that is larger."""
-    dim = points.shape[1]
-    q = np.ones(dim + 1)
-    for i in range(len(indptr) - 1):
-        for at in range(indptr[i], indptr[i + 1]):
-            for c in range(dim):
-                scale[i] = max(scale[i], abs(points[indices[at], c] - centres[i, c]))
-        gram[i] = 0.0
-        residual[i, 0] = target[i, 0]
-        for c in range(dim):
-            residual[i, c + 1] = target[i, c + 1] / scale[i]
-        for at in range(indptr[i], indptr[i + 1]):
-            for c in range(dim):
-                q[c + 1] = (points[indices[at], c] - centres[i, c]) / scale[i]
-            for r in range(dim + 1):
-                residual[i, r] -= data[at] * q[r]
-                for s in range(dim + 1):
-                    gram[i, r, s] += q[r] * q[s]
-
-
-@kernel
-def _add_corrections(indptr, indices, data, points, centres, multiplier, scale):
-    dim = points.shape[1]
-    for i in range(len(indptr) - 1):
-        for at in range(indptr[i], indptr[i + 1]):
-            data[at] += multiplier[i, 0]
-            for c in range(dim):
-                data[at] += multiplier[i, c + 1] * (points[indices[at], c] - centres[i, c]) / scale[i]
-
-
 def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, moments: np.ndarray
                   ) -> tuple[sparse.csr_array, np.ndarray]:
-    n, dim = fine.points.shape
-    gram, residual, scale = np.empty((n, dim + 1, dim + 1)), np.empty((n, dim + 1)), np.empty(n)
+    """The matrix with other sums and moments of its rows, and whether each row has reached them; no row is empty."""
+    row, starts = np.repeat(np.arange(fine.n_nodes), np.diff(matrix.indptr)), matrix.indptr[:-1]
+    apart = coarse.points[matrix.indices] - fine.points[row]
+    scale = np.empty(fine.n_nodes)
     scale[fine.elements] = fine.element_sizes[:, None]      # that of one of its elements will do
-    data = matrix.data.copy()
-    _moment_systems(matrix.indptr, matrix.indices, data, coarse.points, fine.points, moments, gram, residual, scale)
-    multiplier, reached = np.zeros((n, dim + 1)), np.ones(n, dtype=bool)
+    scale = np.maximum(scale, np.maximum.reduceat(np.abs(apart).max(axis=1), starts))[:, None]
+    q = np.column_stack([np.ones(len(row)), apart / scale[row]])
+    residual = np.column_stack([moments[:, 0], moments[:, 1:] / scale])
+    residual -= np.add.reduceat(matrix.data[:, None] * q, starts)
+    multiplier, reached = np.zeros(residual.shape), np.ones(fine.n_nodes, dtype=bool)
     wrong = np.flatnonzero(np.abs(residual).max(axis=1) > 4 * np.finfo(float).eps)
-    inverse = np.linalg.pinv(gram[wrong], rcond=1e-10, hermitian=True)
+    gram = np.array([[np.add.reduceat(a * b, starts)[wrong] for a in q.T] for b in q.T]).T
+    inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
     multiplier[wrong] = np.einsum("nij,nj->ni", inverse, residual[wrong])
-    left = np.einsum("nij,nj->ni", gram[wrong], multiplier[wrong]) - residual[wrong]
+    left = np.einsum("nij,nj->ni", gram, multiplier[wrong]) - residual[wrong]
     reached[wrong] = np.abs(left).max(axis=1) <= _REACHED
-    _add_corrections(matrix.indptr, matrix.indices, data, coarse.points, fine.points, multiplier, scale)
+    data = matrix.data + np.einsum("ek,ek->e", q, multiplier[row])
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape), reached
 
 
 def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, *, tolerance: float = CLIP,
                  moments: np.ndarray | None = None) -> tuple[sparse.csr_array, np.ndarray]:
-    """Return drop small entries, and restore row sums 1 and first moments."""
+    """Drop small entries, and restore row sums 1 and first moments; return also which rows have reached them."""
     if moments is None:
         centre = coarse.points.mean(axis=0)             # far from the origin the differences would lose digits
         moments = matrix @ np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])
