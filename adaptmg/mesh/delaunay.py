@@ -15,8 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.geometry.predicates import turn
-from adaptmg.mesh.improve import opposite, replace_neighbour, swap, swap_all, swap_edge
+from adaptmg.geometry.predicates import in_circle, turn
 
 #: nodes after which kernels come back to Python, so that Ctrl-C ends them
 BATCH = 50_000
@@ -79,6 +78,71 @@ def _inside(elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.nd
 
 
 @inner_kernel
+def _replace_neighbour(across, e, old, new):
+    """Replace the neighbour ``old`` of an element by another one."""
+    if e >= 0:
+        for k in range(3):
+            if across[e, k] == old:
+                across[e, k] = new
+                return
+
+
+@inner_kernel
+def _opposite(elements, e, a, b):
+    """Return which corner of an element is neither a nor b."""
+    for k in range(2):
+        if elements[e, k] != a and elements[e, k] != b:
+            return k
+    return 2
+
+
+@inner_kernel
+def _swap_edge(points, elements, across, e, k):
+    """Swap the edge opposite corner k of an element, which has a neighbour there, unless it is Delaunay; returns
+    whether. An edge that is not Delaunay is the diagonal of a convex quadrilateral: no element is turned over. On fixed
+    points swaps end (C. L. Lawson, 1977): the test is exact, and each swap lowers the surface of triangles with the
+    heights x^2 + y^2."""
+    a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+    d = elements[across[e, k], _opposite(elements, across[e, k], b, c)]
+    if not in_circle(points, np.int64(a), np.int64(b), np.int64(c), np.int64(d)) > 0.0:
+        return False
+    _swap(elements, across, e, k)
+    return True
+
+
+@inner_kernel
+def _swap(elements, across, e, k):
+    """Swap the edge opposite corner k of an element, the diagonal of a convex quadrilateral. The corner k then comes
+    first in both elements."""
+    f = np.int64(across[e, k])
+    a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+    m = _opposite(elements, f, b, c)
+    d = elements[f, m]
+    beside_b, beside_c = across[e, (k + 2) % 3], across[e, (k + 1) % 3]
+    over_b, over_c = across[f, (m + 1) % 3], across[f, (m + 2) % 3]
+    # f = d c b: opposite c lies the edge b d, opposite b the edge d c
+    elements[e, 0], elements[e, 1], elements[e, 2] = a, b, d
+    elements[f, 0], elements[f, 1], elements[f, 2] = a, d, c
+    across[e, 0], across[e, 1], across[e, 2] = over_b, f, beside_b
+    across[f, 0], across[f, 1], across[f, 2] = over_c, beside_c, e
+    _replace_neighbour(across, over_b, f, e)
+    _replace_neighbour(across, beside_c, e, f)
+
+
+@kernel
+def swap_all(points, elements, across):
+    """Swap edges once through the mesh; returns how many."""
+    swapped = 0
+    for e in range(len(elements)):
+        for k in range(3):
+            # each edge is looked at from one side
+            if across[e, k] > e and _swap_edge(points, elements, across, e, k):
+                swapped += 1
+                break
+    return swapped
+
+
+@inner_kernel
 def walk(points, elements, across, e, p):
     """Return the triangle that holds node p, on the straight way from triangle e; -1 if that leaves the mesh. In a
     Delaunay triangulation no triangle comes twice: the power of p with respect to their circles falls."""
@@ -118,25 +182,25 @@ def insert(points, elements, across, n, e, p, settled):
         _place(elements, across, e, p, a, b, over_c, n, m)
         _place(elements, across, n, p, b, c, over_a, m, e)
         _place(elements, across, m, p, c, a, over_b, e, n)
-        replace_neighbour(across, over_a, e, n)
-        replace_neighbour(across, over_b, e, m)
+        _replace_neighbour(across, over_a, e, n)
+        _replace_neighbour(across, over_b, e, m)
     else:
         f = np.int64(over_a)
         if f < 0 or on > 1:
             return n
-        j = opposite(elements, f, b, c)
+        j = _opposite(elements, f, b, c)
         d, beyond_c, beyond_b = elements[f, j], across[f, (j + 1) % 3], across[f, (j + 2) % 3]
         _place(elements, across, e, p, a, b, over_c, m, n)
         _place(elements, across, n, p, c, a, over_b, e, f)
         _place(elements, across, f, p, d, c, beyond_b, n, m)
         _place(elements, across, m, p, b, d, beyond_c, f, e)
-        replace_neighbour(across, over_b, e, n)
-        replace_neighbour(across, beyond_c, f, m)
+        _replace_neighbour(across, over_b, e, n)
+        _replace_neighbour(across, beyond_c, f, m)
     # around the node, which comes first in its triangles; ends as swaps do
     first = e
     while True:
         settled[e] = False
-        if across[e, 0] < 0 or not swap_edge(points, elements, across, e, np.int64(0)):
+        if across[e, 0] < 0 or not _swap_edge(points, elements, across, e, np.int64(0)):
             e = np.int64(across[e, 1])
             if e == first:
                 return m + 1
@@ -199,9 +263,9 @@ def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
         if max(_edge(start, heads, u, v), _edge(start, heads, v, u)) >= 0:
             return -1, u if _edge(start, heads, u, v) >= 0 else v
         f = np.int64(across[e, k])
-        w = np.int64(elements[f, opposite(elements, f, u, v)])
+        w = np.int64(elements[f, _opposite(elements, f, u, v)])
         if v == far and turn(points, behind, u, w) > 0.0 and turn(points, w, v, behind) > 0.0:
-            swap(elements, across, e, k)
+            _swap(elements, across, e, k)
             at[behind] = at[u] = at[w] = e
             at[v] = f
             return 1, farthest
@@ -212,7 +276,7 @@ def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
         if w == b or side == 0.0:
             return (0, farthest) if w == b else (-1, w)
         # the edge that is crossed next lies opposite the node that is left behind
-        e, k = f, np.int64(opposite(elements, f, w, u if side > 0.0 else v))
+        e, k = f, np.int64(_opposite(elements, f, w, u if side > 0.0 else v))
 
 
 @kernel

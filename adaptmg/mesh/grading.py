@@ -5,7 +5,7 @@ The size field of :func:`graded`, for a bulk size H, a contact ratio q and a gra
 .. math:: h(x) = \min\bigl(H,\; H/q + g \,\mathrm{dist}(x, \text{contact boundaries})\bigr).
 
 Plane domains are triangulated here (:mod:`adaptmg.mesh.triangulate`). A box is cut into cells of the largest size of
-the field, which are refined to it and improved (:mod:`adaptmg.mesh.drafted`). Netgen meshes the others, and these if it
+the field, which are refined to it and improved (:mod:`adaptmg.mesh.improve`). Netgen meshes the others, and these if it
 is asked to or triangulation fails. It fails itself, or takes minutes, where sizes differ by more than about 16 in a
 coarse mesh: sizes up to that ratio are asked from Netgen, and the rest is bisected, until no element and no boundary
 facet is larger than sqrt(2) times the field, by the edge of the equilateral one of the same volume. Bisection makes
@@ -28,7 +28,7 @@ from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.bisection import refined, with_refinement
 from adaptmg.mesh.delaunay import Untriangulated
 from adaptmg.mesh.domains import boundary_measures, distance_to_boundaries, in_edges
-from adaptmg.mesh.drafted import drafted
+from adaptmg.mesh.improve import drafted
 from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,

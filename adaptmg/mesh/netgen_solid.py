@@ -5,7 +5,7 @@ The edge length asked for, with a bulk size H, a size function s, sizes :math:`h
 .. math:: h(x) = \min\bigl(H,\; s(x),\; \min_b (h_b + g\,\mathrm{dist}(x, b))\bigr).
 
 Where all faces lie on planes, cylinders, cones, spheres and tori, Netgen makes a draft of larger sizes, which is
-refined (:mod:`adaptmg.mesh.drafted`). Otherwise Netgen is asked for the sizes down to H/16; what is finer it bisects.
+refined (:mod:`adaptmg.mesh.improve`). Otherwise Netgen is asked for the sizes down to H/16; what is finer it bisects.
 New nodes are put onto the faces. Netgen also keeps edges on curved faces below their radius over ``curvature``.
 
 Elements are straight: all nodes of curved faces lie on them, chords do not. The volume of the mesh therefore differs
@@ -27,7 +27,7 @@ from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, Surface, facet_table, longest_edges, normalised, swept, trusted
 from adaptmg.mesh.bisection import refined
 from adaptmg.mesh.domains import extent
-from adaptmg.mesh.drafted import drafted
+from adaptmg.mesh.improve import drafted
 from adaptmg.mesh.netgen_guard import LIMIT_S, Netgen, NetgenFails, meshing_limit, netgen
 from adaptmg.mesh.netgen_plane import (
     MAX_BISECTIONS,

@@ -23,7 +23,7 @@ from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.predicates import turn
 from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.delaunay import BATCH, Untriangulated, insert, of_boundary, walk
-from adaptmg.mesh.improve import improved_triangles
+from adaptmg.mesh.improve import improve_triangles
 from adaptmg.mesh.netgen_plane import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
 from adaptmg.mesh.slits import opened
 from adaptmg.problem.plane_domains import Domain, Outline
@@ -68,9 +68,9 @@ def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], gro
         if not thin.any():
             break
         field = _beside_thin_parts(field, feet[thin], sizes[thin])
-    points, elements = _filled(domain, (places - middle) / scale, elements, across,
+    points, elements, across = _filled(domain, (places - middle) / scale, elements, across,
                                lambda x: field(middle + scale * x) / scale, growth)
-    points, elements = improved_triangles(points, elements, np.arange(len(points)) < len(places), _ROUNDS)
+    improve_triangles(points, elements, across, np.arange(len(points)) < len(places), _ROUNDS)
     # the boundary bit for bit
     points = np.concatenate([places, middle + scale * points[len(places):]])
     return _mesh(domain, points, elements, facets, labels)
@@ -187,8 +187,8 @@ def _spaced(domain: Domain, edges: list, lengths: tuple[float, ...], field: Call
 
 
 def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np.ndarray,
-            field: Callable[[np.ndarray], np.ndarray], growth: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes put into the triangles of a boundary."""
+            field: Callable[[np.ndarray], np.ndarray], growth: float | None) -> tuple[np.ndarray, ...]:
+    """Nodes put into the triangles of a boundary, and the neighbours of these."""
     points, n, n_elements, n_read = places, len(places), len(elements), 0
     sizes, settled = np.empty(0), np.empty(0, dtype=bool)
     while True:
@@ -217,7 +217,7 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
             if n < most:
                 break
         if n == n_read:
-            return points[:n], elements[:n_elements]
+            return points[:n], elements[:n_elements], across[:n_elements]
 
 
 def _longer(table: np.ndarray, rows: int) -> np.ndarray:

@@ -61,8 +61,8 @@ def meshed():
     square = am.Rectangle(width=1, height=1)
     yield from (graded(domain, 0.4, domain.boundaries[0], 4).points for domain in (square, HOLED))
     yield sized(square, am.mesh.SizeNear([(0.4, 0.4)], size=0.05), 0.3).points
-    for mesh in (graded(square, 0.3), graded(am.Box(width=0.3, depth=0.2, height=0.1), 0.07)):
-        yield from (improved(mesh, 2).points, halved(mesh).elements, improved(halved(mesh), 1).points)
+    mesh = graded(am.Box(width=0.3, depth=0.2, height=0.1), 0.07)
+    yield from (improved(mesh, 2).points, halved(mesh).elements, improved(halved(mesh), 1).points)
 
 
 def transferred():

@@ -10,16 +10,29 @@ from bisected_meshes import shaken as moved
 
 import adaptmg as am
 from adaptmg.mesh import check_mesh, graded, structured
-from adaptmg.mesh.arrays import facet_table
-from adaptmg.mesh.improve import halved, improved
+from adaptmg.mesh.arrays import element_facets, facet_keys, facet_table
+from adaptmg.mesh.improve import halved, improve_triangles, improved
 
 PLATE = am.Rectangle(width=0.3, height=0.2)
 BOX = am.Box(width=0.3, depth=0.2, height=0.1)
-TWO = am.Assembly(parts={"left": PLATE, "right": am.Rectangle(width=0.1, height=0.2, origin=(0.3, 0.0))})
+TWO = am.Assembly(parts={"left": BOX, "right": am.Box(width=0.1, depth=0.2, height=0.1, origin=(0.3, 0, 0))})
 
 
 def shaken(mesh, share=0.3):
     return moved(mesh, share * mesh.element_sizes.min())
+
+
+def better_shaped(mesh, rounds):
+    """The mesh improved, also of triangles."""
+    if mesh.dim == 3:
+        return improved(mesh, rounds)
+    table = facet_table(mesh.elements, mesh.n_nodes)
+    row = table.find(facet_keys(element_facets(mesh.elements).reshape(-1, 2), mesh.n_nodes))
+    own = np.repeat(np.arange(len(mesh.elements)), 3)
+    across = np.where(table.first[row] == own, table.second[row], table.first[row]).reshape(-1, 3).astype(np.int32)
+    points, elements, held = mesh.points.copy(), mesh.elements.copy(), np.isin(np.arange(mesh.n_nodes), mesh.facets)
+    improve_triangles(points, elements, across, held, rounds)
+    return replace(mesh, points=points, elements=elements, source=None)
 
 
 def shapes(mesh):
@@ -34,7 +47,7 @@ def shapes(mesh):
                          ids=["squares", "box", "graded"])
 def test_shapes_get_better_and_the_boundary_stays(mesh, least):
     rough = shaken(mesh, 0.2)
-    better = improved(rough, 8)
+    better = better_shaped(rough, 8)
     check_mesh(better)
     assert shapes(better).mean() > max(shapes(rough).mean() + 0.009, least)
     assert (1 / shapes(better)).sum() < (1 / shapes(rough)).sum()
@@ -46,7 +59,7 @@ def test_shapes_get_better_and_the_boundary_stays(mesh, least):
 
 def test_swapped_triangles_are_delaunay():
     rough = shaken(graded(PLATE, 0.02))
-    better = improved(rough, 1)
+    better = better_shaped(rough, 1)
     # of every node the circumcircles of the others' triangles hold none; moves after the swaps spoil few
     corners = better.points[better.elements]
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -60,22 +73,19 @@ def test_swapped_triangles_are_delaunay():
     assert inside.mean() < 0.05
 
 
-@pytest.mark.parametrize("mesh", [structured(PLATE, 3), graded(PLATE, 0.07), structured(BOX, 2), graded(BOX, 0.06),
-                                  graded(TWO, 0.07)], ids=["plane", "Netgen", "box", "Netgen's box", "two bodies"])
+@pytest.mark.parametrize("mesh", [structured(BOX, 2), graded(BOX, 0.06), graded(TWO, 0.07)],
+                         ids=["structured", "graded", "two bodies"])
 def test_halves_are_a_sound_mesh_of_the_same_bodies(mesh):
     fine = halved(mesh)
     assert fine.sound and fine.boundaries == mesh.boundaries and fine.bodies == mesh.bodies
-    assert len(fine.elements) == 2**mesh.dim * len(mesh.elements)
-    assert len(fine.facets) == 2 ** (mesh.dim - 1) * len(mesh.facets)
+    assert len(fine.elements) == 8 * len(mesh.elements) and len(fine.facets) == 4 * len(mesh.facets)
     assert (fine.points[:mesh.n_nodes] == mesh.points).all()
     # by what it is, not by what it says
     check_mesh(replace(fine, source=None))
-    np.testing.assert_allclose(fine.volumes.reshape(len(mesh.elements), -1) * 2**mesh.dim, mesh.volumes[:, None]
-                               * np.ones(2**mesh.dim), rtol=1e-10)
-    body = fine.element_body.reshape(len(mesh.elements), -1)
-    assert (body == mesh.element_body[:, None]).all()
+    np.testing.assert_allclose(8 * fine.volumes, np.repeat(mesh.volumes, 8), rtol=1e-10)
+    np.testing.assert_array_equal(fine.element_body, np.repeat(mesh.element_body, 8))
     for name in mesh.boundaries:
-        assert len(fine.boundary_facets(name)) == 2 ** (mesh.dim - 1) * len(mesh.boundary_facets(name))
+        assert len(fine.boundary_facets(name)) == 4 * len(mesh.boundary_facets(name))
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (1, 0, 3, 2), (2, 3, 0, 1), (0, 2, 3, 1), (0, 3, 1, 2)])
