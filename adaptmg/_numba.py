@@ -2,13 +2,11 @@
 
 numba compiles a function once per machine and stores the code in ``__pycache__`` next to the source, in the user's
 cache folder, or in ``NUMBA_CACHE_DIR``. It makes a wrapper for calls from Python and one for calls from C: the second
-is never used, and the first only for functions that Python calls. Looking for garbage takes a seventh of the time of
-compiling: it waits until a function is compiled.
+is never used, and the first only for functions that Python calls.
 """
 
 from __future__ import annotations
 
-import gc
 import logging
 import threading
 import time
@@ -50,32 +48,29 @@ def _warn_of_no_cache() -> None:
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """A view that cannot be written: kernels are compiled separately for those and for other arrays."""
+    """Return a view that cannot be written: kernels are compiled separately for those and for other arrays."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 class _Compiling(Listener):
-    """Holds off the garbage collector while numba compiles, adds up the seconds, and says that it takes long."""
+    """Adds up the seconds of each thread, and says that it takes long; numba compiles in one thread at a time."""
 
     def __init__(self) -> None:
-        self.depth, self.begin, self.collects, self.here = 0, 0.0, False, threading.local()
+        self.depth, self.begin, self.here = 0, 0.0, threading.local()
 
     def on_start(self, event: Event) -> None:
         self.depth += 1
-        if self.depth == 1:  # numba compiles in one thread at a time
+        if self.depth == 1:
             if compiling_seconds() > 1.0 and str(event.data["dispatcher"].py_func.__module__).startswith("adaptmg."):
                 _announce()
-            self.begin, self.collects = time.perf_counter(), gc.isenabled()
-            gc.disable()
+            self.begin = time.perf_counter()
 
     def on_end(self, event: Event) -> None:
         self.depth -= 1
         if self.depth == 0:
             self.here.seconds = compiling_seconds() + time.perf_counter() - self.begin
-            if self.collects:
-                gc.enable()
 
 
 _COMPILING = _Compiling()
@@ -83,12 +78,12 @@ register("numba:compile", _COMPILING)
 
 
 def compiling_seconds() -> float:
-    """The seconds that this thread has spent compiling."""
+    """Return the seconds that this thread has spent compiling."""
     return getattr(_COMPILING.here, "seconds", 0.0)
 
 
 def clock() -> float:
-    """Seconds that this thread has spent on anything but compiling: only differences mean something."""
+    """Return the seconds that this thread has spent on anything but compiling: only differences mean something."""
     return time.perf_counter() - compiling_seconds()
 
 

@@ -1,26 +1,28 @@
-"""Threads of one solve: kernels over parts of their rows, and over ranges of one colour after the other.
+"""Threads of a solve over parts of the rows of its kernels, one thread of BLAS, and the same random numbers always.
 
 Kernels release the interpreter's lock, so that threads of Python run them at the same time. Parts and ranges depend on
-the size of the arrays, not on the number of threads beyond 1, so that the bits of results do not.
+the size of the arrays, not on the number of threads beyond 1, so that the bits of results do not. Sums of BLAS over two
+threads would differ in the last digits, and small dense factorisations lose more to starting threads than they gain.
 """
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from functools import lru_cache
 from itertools import pairwise
-from threading import Event
+from threading import RLock
 from typing import Any
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._machine import after_fork
 
 #: numbers read from which a kernel is cut into this many parts
 LARGE, PARTS = 1_000_000, 16
-_MOST = 1024  # threads; a million would take minutes to start
 
 
 class _Threads:
@@ -29,9 +31,17 @@ class _Threads:
     def __init__(self, number: int = 1) -> None:
         self.number, self.pool = number, ThreadPoolExecutor(number - 1, "adaptmg") if number > 1 else None
 
-    def run(self, work: Callable[[], None]) -> None:
-        """Do the work in all threads at the same time, this one included; those that did not begin are not awaited."""
-        others = [self.pool.submit(work) for _ in range(self.number - 1)]
+    def map(self, kernel: Callable[..., Any], ranges: Sequence[tuple[int, int]], arguments: Sequence[object]) -> list:
+        """Call a kernel for all ranges, in all threads at the same time, this one included; those that did not begin
+        are not awaited."""
+        results: list[Any] = [None] * len(ranges)
+        left = iter(range(len(ranges)))
+
+        def work() -> None:
+            for k in left:
+                results[k] = kernel(*ranges[k], *arguments)
+
+        others = [self.pool.submit(work) for _ in range(min(self.number, len(ranges)) - 1)] if self.pool else []
         try:
             work()
         finally:
@@ -39,10 +49,10 @@ class _Threads:
             wait(others)
         for other in others:
             other.result()
+        return results
 
 
 _THREADS = _Threads()
-after_fork(_THREADS.__init__)  # threads do not come along to a child
 
 
 def set_threads(threads: int) -> None:
@@ -66,7 +76,7 @@ def set_threads(threads: int) -> None:
     --------
     >>> am.set_threads(1)
     """
-    threads = checks.integer("threads", threads, 1, _MOST)
+    threads = checks.integer("threads", threads, 1, 1024)
     if threads > 1 and _tasks_at_a_time() > 1:
         raise ValueError(f"threads must be 1 in a worker that runs {_tasks_at_a_time()} tasks at the same time, got "
                          f"{threads}: start workers with one thread each")
@@ -76,7 +86,7 @@ def set_threads(threads: int) -> None:
 
 
 def several() -> bool:
-    """Whether a solve takes more than one thread."""
+    """Return whether a solve takes more than one thread."""
     return _THREADS.number > 1
 
 
@@ -90,7 +100,7 @@ def _tasks_at_a_time() -> int:
 
 
 def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, joined: bool = True) -> list[Any]:
-    """What ``kernel(first, last, *arguments)`` returns for parts of n rows: one unless they read LARGE numbers
+    """Return what ``kernel(first, last, *arguments)`` returns for parts of n rows: one unless they read LARGE numbers
     (``size``) together, else one a thread, or PARTS if they are not ``joined``, as where a row depends on others."""
     if size < LARGE:
         return [kernel(0, n, *arguments)]
@@ -99,37 +109,18 @@ def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, 
 
 
 def sum_of_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object) -> Any:
-    """The sum of what ``kernel(first, last, *arguments)`` returns for parts that do not depend on the threads."""
+    """Return the sum of what ``kernel(first, last, *arguments)`` returns for parts independent of the threads."""
     parts = in_parts(kernel, n, size, *arguments, joined=False)
     return parts[0] if len(parts) == 1 else np.sum(parts, axis=0)
 
 
 def in_colours(colours: Sequence[Sequence[tuple[int, int]]], kernel: Callable[..., Any], *arguments: object,
                joined: bool = False) -> list[Any]:
-    """What ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the other. Ranges of a colour
-    may be ``joined``, those of each thread to one, if they follow one another."""
-    number = _THREADS.number
-    if joined:
-        colours = [_joined(ranges, number) for ranges in colours]
-    places = [(stage, each) for stage, ranges in enumerate(colours) for each in ranges]
-    if number == 1 or len(places) == len(colours):
-        return [kernel(*each, *arguments) for _, each in places]
-    results, left = [None] * len(places), iter(range(len(places)))
-    done, over = [[] for _ in colours], [Event() for _ in colours]
-
-    def work() -> None:
-        for k in left:
-            stage, each = places[k]
-            if stage:
-                over[stage - 1].wait()
-            try:
-                results[k] = kernel(*each, *arguments)
-            finally:
-                done[stage].append(k)
-                if len(done[stage]) == len(colours[stage]):
-                    over[stage].set()
-
-    _THREADS.run(work)
+    """Return what ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the other. Ranges of a
+    colour may be ``joined``, those of each thread to one, if they follow one another."""
+    results: list[Any] = []
+    for ranges in colours:
+        results += _THREADS.map(kernel, _joined(ranges, _THREADS.number) if joined else ranges, arguments)
     return results
 
 
@@ -140,9 +131,9 @@ def _joined(ranges: Sequence[tuple[int, int]], number: int) -> list[tuple[int, i
 
 
 def scattering(columns: np.ndarray, starts: np.ndarray | None = None, size: int = 0) -> list[list[tuple[int, int]]]:
-    """Ranges of rows in two colours: those of a colour write to different ``columns``, given row by row (row k from
-    ``starts[k]`` on, or all rows are as long). One range if they read few numbers (``size``), or where the order of
-    rows and columns has little to do with each other."""
+    """Return ranges of rows in two colours: those of a colour write to different ``columns``, given row by row (row k
+    from ``starts[k]`` on, or all rows are as long). One range if they read few numbers (``size``), or where the order
+    of rows and columns has little to do with each other."""
     if starts is None:
         starts = np.arange(len(columns) + 1) * columns.shape[1]
     n, flat = len(starts) - 1, columns.reshape(-1)
@@ -154,3 +145,81 @@ def scattering(columns: np.ndarray, starts: np.ndarray | None = None, size: int 
             ranges = list(pairwise(bounds))
             return [ranges[::2], ranges[1::2]]
     return [[(0, n)]]
+
+
+class _Blas:
+    """The limit of BLAS, set by the first thread of Python to enter, and lifted by the last to leave: threadpoolctl's
+    own ends with the thread that set it."""
+
+    def __init__(self) -> None:
+        self.lock, self.inside, self.libraries, self.limit = RLock(), 0, None, None
+
+    def enter(self) -> None:
+        # imported inside the block scipy would bring another BLAS without a limit
+        import scipy.linalg  # noqa: F401
+
+        with self.lock:
+            if self.inside == 0:
+                self.libraries = _libraries(len(sys.modules))
+                self.release()
+                self.limit = self.libraries.limit(limits=1)
+            self.inside += 1
+
+    def leave(self) -> None:
+        with self.lock:
+            self.inside -= 1
+            if self.inside == 0:
+                self.release()
+                self.limit.restore_original_limits()
+
+    def release(self) -> None:
+        """Let this thread set limits: threadpoolctl 3.7 and later obey, in silence, only the one that set them first.
+        """
+        for library in self.libraries.lib_controllers:
+            getattr(library, "clear_controlling_thread", lambda force: None)(force=True)
+
+
+@lru_cache(maxsize=1)
+def _libraries(_modules: int) -> Any:
+    """The libraries of BLAS; looking for them takes some ms, when modules were imported since."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
+
+
+_BLAS, _RANDOM = _Blas(), RLock()
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Hold BLAS at one thread, in a with statement or as a decorator; may be nested, and entered by several threads."""
+    _BLAS.enter()
+    try:
+        yield
+    finally:
+        _BLAS.leave()
+
+
+@contextmanager
+def seeded() -> Iterator[None]:
+    """Let what draws from numpy's global generator (pyamg) draw the same numbers always, and put the state back. One
+    thread at a time; a thread of the user that draws from the global generator meanwhile is not held back."""
+    with _RANDOM:
+        state = np.random.get_state()  # noqa: NPY002
+        np.random.seed(0)  # noqa: NPY002
+        try:
+            yield
+        finally:
+            np.random.set_state(state)  # noqa: NPY002
+
+
+def _in_a_child() -> None:
+    """Threads, which may hold the locks, do not come along to a child."""
+    global _RANDOM
+    _RANDOM = RLock()
+    _THREADS.__init__()
+    _BLAS.__init__()
+
+
+if hasattr(os, "register_at_fork"):  # Windows does not fork
+    os.register_at_fork(after_in_child=_in_a_child)

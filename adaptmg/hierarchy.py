@@ -12,10 +12,10 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._blas import one_blas_thread
-from adaptmg._check_arrays import shape_of
+from adaptmg._checks import shape_of
 from adaptmg._numba import clock, compiling_seconds
 from adaptmg._text import html_table, in_html_lines, shortened, warn_user
+from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.discretise import same
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.sides import with_sides

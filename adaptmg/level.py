@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._check_arrays import indices_frozen, shape_of
+from adaptmg._checks import indices_frozen, shape_of
 from adaptmg._on_demand import ABSENT, OnDemand, made_on_demand
 from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
@@ -77,7 +76,7 @@ class Level:
             raise TypeError("galerkin must be a bsr_array without a discrete problem, got "
                             f"{checks.described(self.galerkin)}")
         if self.galerkin is not None:
-            rows, columns = shape_of(check_arrays.sparse_matrix("galerkin", self.galerkin))
+            rows, columns = shape_of(checks.sparse_matrix("galerkin", self.galerkin))
             if rows != columns:
                 raise ValueError(f"galerkin must be square, got {(rows, columns)}")
             object.__setattr__(self, "galerkin", indices_frozen(self.galerkin))
@@ -86,7 +85,7 @@ class Level:
         for name in ("prolongation", "surface_prolongation"):
             value = self.__dict__[name]
             if value is not None:
-                value = check_arrays.sparse_matrix(name, value)
+                value = checks.sparse_matrix(name, value)
                 as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
                 value = value if as_csr else sparse.csr_array(value, dtype=np.float64)
                 object.__setattr__(self, name, indices_frozen(value))
@@ -177,7 +176,7 @@ class Level:
 
 
 def _nodal(name: str, value: ArrayLike, rows: int) -> np.ndarray:
-    return check_arrays.array(name, value, (rows, *[None] * (np.ndim(value) - 1)))
+    return checks.array(name, value, (rows, *[None] * (np.ndim(value) - 1)))
 
 
 Level.discrete = made_on_demand("discrete", "The problem discretised on this grid.",

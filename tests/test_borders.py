@@ -9,7 +9,6 @@ from refused import refused
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.solver.record import Outcome
 
@@ -94,7 +93,7 @@ def test_a_result_that_is_not_finite_has_diverged():
 def test_a_user_s_matrix_is_not_changed():
     matrix = sparse.csr_array((np.r_[1.0, 1.0, 1.0], np.r_[0, 0, 0], np.r_[0, 2, 3, 3]), shape=(3, 2))
     before = matrix.copy()
-    result = check_arrays.sparse_matrix("matrix", matrix)
+    result = checks.sparse_matrix("matrix", matrix)
     for one in (matrix, result):
         for name in ("indices", "indptr", "data"):  # two entries at one place stay two
             np.testing.assert_array_equal(getattr(one, name), getattr(before, name))
@@ -104,25 +103,25 @@ def test_a_user_s_matrix_is_not_changed():
 def _broken():
     matrix = sparse.lil_array(np.eye(3))
     matrix.rows[1] = [10**6]
-    return check_arrays.sparse_matrix("matrix", matrix)
+    return checks.sparse_matrix("matrix", matrix)
 
 
 def _falling():
     matrix = sparse.csr_array(np.eye(3))
     matrix.indptr[-1] = 0
-    return check_arrays.sparse_matrix("matrix", matrix)
+    return checks.sparse_matrix("matrix", matrix)
 
 
 def _cut_blocks():
     blocks = sparse.bsr_array((np.ones((1, 2, 2)), [0], [0, 1]), shape=(3, 3))
-    return check_arrays.sparse_matrix("matrix", blocks)
+    return checks.sparse_matrix("matrix", blocks)
 
 
 test_refused = refused(
     (_broken, "matrix: indices must be < 3"),
     (_falling, "matrix: indptr must not fall"),
     (_cut_blocks, r"matrix: its shape \(3, 3\) is not a multiple of its blocks \(2, 2\)"),
-    (lambda: check_arrays.array("gaps", [0.0, True], (2,)), TypeError, "gaps must be an array of real numbers"),
+    (lambda: checks.array("gaps", [0.0, True], (2,)), TypeError, "gaps must be an array of real numbers"),
     *((lambda error=error: two_chains(error), r"matrix must be symmetric.*between nodes 6 and 7")
       for error in (0.32, 1e-7)),
     (lambda: square(contact=am.Contact("left", am.Plane((0.0, 0.0), (1.0, 0.0))), supports=am.Support("contact", x=0)),
@@ -134,13 +133,13 @@ def test_indices_are_narrowed_to_32_bits_where_they_fit(kind, monkeypatch):
     matrix = sparse.random_array((12, 12), density=0.3, rng=np.random.default_rng(1)).asformat(kind)
     wide = matrix.copy()
     wide.indices, wide.indptr = wide.indices.astype(np.int64), wide.indptr.astype(np.int64)
-    for result in (check_arrays.narrowed(wide), check_arrays.sparse_matrix("matrix", wide)):
+    for result in (checks.narrowed(wide), checks.sparse_matrix("matrix", wide)):
         assert result.indices.dtype == result.indptr.dtype == np.int32
-    result = check_arrays.narrowed(wide)
+    result = checks.narrowed(wide)
     assert (result != matrix).nnz == 0 and getattr(result, "blocksize", 0) == getattr(matrix, "blocksize", 0)
-    assert result.format == kind and check_arrays.narrowed(result) is result
-    monkeypatch.setattr(check_arrays, "_LARGEST_INDEX", 5)
-    assert check_arrays.narrowed(wide) is wide
+    assert result.format == kind and checks.narrowed(result) is result
+    monkeypatch.setattr(checks, "_LARGEST_INDEX", 5)
+    assert checks.narrowed(wide) is wide
 
 
 @pytest.mark.parametrize("problem", [BAR, am.cases.two_block_patch()], ids=["bar", "bodies"])

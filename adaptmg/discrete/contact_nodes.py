@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.problem.contact_problem import CONTACT
@@ -69,7 +68,7 @@ class ContactNodes:
                      masters: tuple[str, ...] | None = None) -> None: ...
 
     def __post_init__(self) -> None:
-        nodes = check_arrays.array("nodes", self.nodes, (None,), integer=True)
+        nodes = checks.array("nodes", self.nodes, (None,), integer=True)
         n = len(nodes)
         if len(np.unique(nodes)) < n or nodes.min(initial=0) < 0:
             raise ValueError("nodes must be distinct and >= 0")
@@ -95,7 +94,7 @@ class ContactNodes:
         reference = bounded("slip_reference", reference, normals.shape, checks.VAST)
         names, masters = self._names()
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
-        boundary = check_arrays.array("boundary", boundary, (n,), integer=True)
+        boundary = checks.array("boundary", boundary, (n,), integer=True)
         if boundary.min(initial=0) < 0 or boundary.max(initial=-1) >= len(names):
             wrong = boundary.min() if boundary.min() < 0 else boundary.max()
             raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")
@@ -172,7 +171,7 @@ _ASYMMETRY = 1e-8
 
 def bounded(name: str, value: object, shape: tuple[int | None, ...], largest: float = LARGEST) -> np.ndarray:
     """Return a read-only copy as float64, of a size that energies bear."""
-    result = check_arrays.array(name, value, shape)
+    result = checks.array(name, value, shape)
     if not (size := largest_entry(result)) <= largest:
         raise ValueError(f"{name} must be at most {largest:g} in SI units, got {size:.3g}")
     return result
@@ -210,7 +209,7 @@ def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
 def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
     """Return nodes by body, checked."""
     checks.instance("bodies", bodies, Mapping, "a mapping of names to arrays of nodes")
-    result = {checks.boundary_name("the names in bodies", name): check_arrays.array(f"bodies[{name!r}]", nodes, (None,),
+    result = {checks.boundary_name("the names in bodies", name): checks.array(f"bodies[{name!r}]", nodes, (None,),
                                                                               integer=True)
               for name, nodes in bodies.items()}
     for name, nodes in result.items():
@@ -222,7 +221,7 @@ def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
 
 def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
     """Return a stiffness matrix in blocks, symmetric with a positive diagonal."""
-    matrix = check_arrays.square_blocks("matrix", value, dim)
+    matrix = checks.square_blocks("matrix", value, dim)
     scale, diagonal = largest_entry(matrix.data), matrix.diagonal()
     if not scale > 0:
         raise ValueError("matrix is zero")

@@ -30,7 +30,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
-from adaptmg._check_arrays import narrowed
+from adaptmg._checks import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.supports import Inclined
 from adaptmg.problem.laws import Law

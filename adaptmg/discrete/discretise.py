@@ -33,10 +33,9 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._blas import one_blas_thread
 from adaptmg._on_demand import OnDemand
+from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.contact_nodes import Stops, bounded, check_bounds, check_size
 from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import Materials, body_materials
@@ -320,7 +319,7 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
                              "the normal of its boundary, not an axis: turn the geometry, or end one of the "
                              "boundaries before the other begins")
     if slip_reference is not None:
-        slip_reference = check_arrays.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
+        slip_reference = checks.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
     slip_reference = with_motions(problem, mesh.points[nodes], boundary, slip_reference)
     contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
                            slip_reference=slip_reference,

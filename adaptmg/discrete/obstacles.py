@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.discrete.contact_nodes import ROUNDING, Stops
 from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
@@ -83,11 +82,11 @@ def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, norma
     if np.shape(directions) != points.shape or np.shape(gaps) != (len(points),):
         raise ValueError(f"{name} must return normals {points.shape} and gaps ({len(points)},), got "
                          f"{np.shape(directions)} and {np.shape(gaps)}")
-    directions = check_arrays.array(f"{name}: its normals", directions, points.shape)
+    directions = checks.array(f"{name}: its normals", directions, points.shape)
     lengths = np.linalg.norm(directions, axis=1)
     if len(points) and not np.abs(lengths - 1).max() <= 1e-6:
         raise ValueError(f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}")
-    return directions, check_arrays.array(f"{name}: its gaps", gaps, (len(points),))
+    return directions, checks.array(f"{name}: its gaps", gaps, (len(points),))
 
 
 def along_free(free: np.ndarray, normals: np.ndarray, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

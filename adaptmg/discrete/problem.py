@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._check_arrays import indices_frozen
+from adaptmg._checks import indices_frozen
 from adaptmg._on_demand import OnDemand, Token, made_on_demand, remembered
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
@@ -161,7 +160,7 @@ class DiscreteProblem(Unknowns):
         blocks, n = checked_matrix(matrix, dim), len(fixed)
         if blocks.shape[0] != n:
             raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
-        weights = check_arrays.sparse_matrix("weights", weights, (n // dim, n // dim))
+        weights = checks.sparse_matrix("weights", weights, (n // dim, n // dim))
         weights = sparse.csr_array(weights, dtype=np.float64)
         _check_row_sums(weights)
         contact.check_nodes(n // dim)
@@ -280,7 +279,7 @@ class DiscreteProblem(Unknowns):
             object.__setattr__(self, name, value)
         if self.volumes is not None:
             checks.instance("volumes", self.volumes, Volumes, "Volumes(...)")
-            check_arrays.sparse_matrix("volumes.rows", self.volumes.rows, (len(self.volumes), n))
+            checks.sparse_matrix("volumes.rows", self.volumes.rows, (len(self.volumes), n))
         if self.coupling is not None:
             checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
         if self.coupling is not None and (self.coupling.fixed & ~fixed).any():

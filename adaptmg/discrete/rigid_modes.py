@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg._blas import one_blas_thread
+from adaptmg._threads import one_blas_thread
 from adaptmg.mesh.arrays import MeshArrays
 
 

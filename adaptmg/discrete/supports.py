@@ -22,7 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._check_arrays import narrowed
+from adaptmg._checks import narrowed
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import AnySupport, FieldLike, PointSpring, PointSupport, Support, Symmetry, times
 

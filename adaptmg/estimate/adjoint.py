@@ -24,7 +24,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 
-from adaptmg._check_arrays import indices_frozen
+from adaptmg._checks import indices_frozen
 from adaptmg.discrete.coordinates import rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy

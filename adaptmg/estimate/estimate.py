@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import shortened
 
@@ -112,7 +111,7 @@ class Estimate:
 
 
 def _checked_squares(name: str, squares: object) -> np.ndarray:
-    result = check_arrays.array(name, squares, (None,))
+    result = checks.array(name, squares, (None,))
     if not len(result) or result.min() < 0:
         raise ValueError(f"{name} must be numbers >= 0, one for each element, got {checks.shown(squares)}")
     return result

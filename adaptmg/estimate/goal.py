@@ -27,8 +27,8 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from adaptmg import _checks as checks
-from adaptmg._blas import one_blas_thread
 from adaptmg._text import shortened
+from adaptmg._threads import one_blas_thread
 from adaptmg.estimate.adjoint import AdjointSolution, adjoint_system, error_spaces
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.quantities import Functional, GoalView, Quantity, checked_functionals

@@ -21,8 +21,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from adaptmg._blas import one_blas_thread
 from adaptmg._numba import clock, compiling_seconds
+from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.bisect import divisible
 from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of

@@ -18,7 +18,6 @@ from typing import Protocol
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.discrete.contact_nodes import ContactNodes
@@ -142,7 +141,7 @@ def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
     for one in made:
         checks.instance(f"{name}name", one.name, str, "text")
         checks.number(f"{name}value", one.value)
-        check_arrays.array(f"{name}vector", one.vector, (view.discrete.n_dofs,))
+        checks.array(f"{name}vector", one.vector, (view.discrete.n_dofs,))
     return list(made)
 
 
@@ -185,7 +184,7 @@ class Displacement:
             shape = np.shape(self.points)
         except ValueError:
             raise ValueError(f"points must all have 2 or all 3 coordinates, got {checks.shown(self.points)}") from None
-        points = [] if 0 in shape else check_arrays.array("points", [self.points] if len(shape) == 1 else self.points,
+        points = [] if 0 in shape else checks.array("points", [self.points] if len(shape) == 1 else self.points,
                                                           (None, None))
         if not len(points) or points.shape[1] not in (2, 3):
             raise ValueError(f"points must hold at least one point of 2 or 3 coordinates, got shape {shape}")
@@ -363,7 +362,7 @@ class Opening:
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         if self.point is not None:
-            point = check_arrays.vector("point", self.point)
+            point = checks.vector("point", self.point)
             if len(point) not in (2, 3):
                 raise ValueError(f"point must have 2 or 3 coordinates, got {len(point)}")
             object.__setattr__(self, "point", tuple(float(c) for c in point))

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg._blas import one_blas_thread
 from adaptmg._numba import kernel
+from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.recovery import recovered
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, posed

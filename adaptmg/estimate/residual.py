@@ -26,8 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg._blas import one_blas_thread
 from adaptmg._numba import kernel
+from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import displacement_gradient

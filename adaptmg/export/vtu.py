@@ -29,7 +29,6 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, read_bytes, waiting_folder, write_bytes
 from adaptmg._text import printable
@@ -81,7 +80,7 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     results = list(results)
     if not results:
         raise ValueError("results is empty: a series needs at least one step")
-    times = np.arange(len(results), dtype=float) if times is None else check_arrays.vector("times", times)
+    times = np.arange(len(results), dtype=float) if times is None else checks.vector("times", times)
     if len(times) != len(results):
         raise ValueError(f"times must have one value a result: {len(results)} results, {len(times)} times")
     if (np.diff(times) <= 0).any():

@@ -12,7 +12,6 @@ from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 
@@ -50,7 +49,7 @@ class SizeNear:
 
     def __post_init__(self) -> None:
         given = checks.listed("points", self.points, "points")
-        points = tuple(tuple(check_arrays.vector("points", p).tolist()) for p in given)
+        points = tuple(tuple(checks.vector("points", p).tolist()) for p in given)
         if not points or len({len(p) for p in points}) > 1:
             raise ValueError(f"points must be at least one point, all of the same dimension, "
                              f"got {checks.shown(given)}")

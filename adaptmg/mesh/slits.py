@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, Surface, facet_keys, facet_table, positive, same_orientation
 from adaptmg.mesh.soundness import check_mesh, with_source
@@ -138,7 +137,7 @@ def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArray
     (1, ('crack.left', 'crack.right'))
     """
     check_mesh(mesh)
-    along = check_arrays.array("facets", facets, (None, mesh.dim), integer=True)
+    along = checks.array("facets", facets, (None, mesh.dim), integer=True)
     if not len(along) or along.min() < 0 or along.max() >= mesh.n_nodes:
         raise ValueError(f"facets must hold nodes from 0 to {mesh.n_nodes - 1}, a row a facet, got "
                          f"{checks.shown(facets)}")

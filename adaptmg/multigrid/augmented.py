@@ -17,7 +17,7 @@ import copy
 import numpy as np
 from scipy import sparse
 
-from adaptmg._check_arrays import indices_frozen
+from adaptmg._checks import indices_frozen
 from adaptmg._on_demand import Token
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.multigrid.truncated_step import least_weights

@@ -15,7 +15,6 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
 from adaptmg.multigrid import half_sweeps
@@ -195,7 +194,7 @@ class CoarseFactors:
             return 0.0
         # a copy: a user-defined solver may change it
         solution = self._prepared.solve(load.copy())
-        result[:] = check_arrays.array("coarse_solve: what solve returns", solution, load.shape)
+        result[:] = checks.array("coarse_solve: what solve returns", solution, load.shape)
         return checks.nonnegative("coarse_solve: passes", getattr(self._prepared, "passes", 0.0))
 
 

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from adaptmg._check_arrays import indices_frozen
+from adaptmg._checks import indices_frozen
 from adaptmg._numba import inner_kernel, kernel, read_only
 from adaptmg._threads import LARGE, in_colours, in_parts, scattering
 from adaptmg.discrete.problem import DiscreteProblem

@@ -20,7 +20,6 @@ from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 from numpy.typing import ArrayLike
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.plot import style
 from adaptmg.smoother.system import OPEN, SLIP, STICK
@@ -355,7 +354,7 @@ def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result
     results = list(results)
     if not results or not all(isinstance(r, Result) for r in results):
         raise TypeError("results must be a sequence of at least one Result, one a load step")
-    factors = check_arrays.vector("factors", factors)
+    factors = checks.vector("factors", factors)
     if len(factors) != len(results):
         raise ValueError(f"factors must have one value a result: {len(results)} results, {len(factors)} factors")
     if len({(len(r.displacement), r.dim, len(r.contact), r.contact.names) for r in results}) > 1:

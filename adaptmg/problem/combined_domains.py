@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle, with_vertex
@@ -296,7 +295,7 @@ class Cracked(SolidDomain):
         paths = {}
         for name, points in checks.mapping("cracks", self.cracks, "names to paths").items():
             checks.boundary_name("the names of cracks", name)
-            path = check_arrays.array(f"cracks[{name!r}]", points, (None, body.dim))
+            path = checks.array(f"cracks[{name!r}]", points, (None, body.dim))
             if len(path) < body.dim:
                 raise ValueError(f"cracks[{name!r}] must be {body.dim} points or more, got {checks.shown(points)}")
             if body.dim == 3:

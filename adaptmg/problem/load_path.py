@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.problem.contact_problem import Contact, ContactProblem
@@ -126,7 +125,7 @@ def obstacles_in_path(problem: ContactProblem) -> list[str]:
 def _factors(name: str, value: ArrayLike) -> np.ndarray:
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0:
         return np.array(checks.quantity(name, value))
-    result = np.array(check_arrays.vector(name, value))
+    result = np.array(checks.vector(name, value))
     if not (np.abs(result) <= checks.VAST).all():
         raise ValueError(f"{name} must be at most {checks.VAST:g}, got {checks.shown(value)}")
     result[np.abs(result) <= _ROUNDING * np.abs(result).max(initial=0.0)] = 0.0

@@ -12,7 +12,6 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._checks import FieldLike, Name, Quantity, Size, Value
 
@@ -28,7 +27,7 @@ def _components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]
 
 def point(name: str, value: object) -> np.ndarray:
     """Return a read-only array of 2 or 3 coordinates."""
-    result = check_arrays.vector(name, value)
+    result = checks.vector(name, value)
     if result.size not in (2, 3):
         raise ValueError(f"{name} must have 2 or 3 components, got {result.size}")
     return result

@@ -20,7 +20,6 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 
 _FROM_LIMIT = 1e-9  # closer to its limits, one modulus is of the size of rounding of the other
@@ -63,7 +62,7 @@ class Anisotropy:
             return result
         if not callable(self.axes):
             return np.array(self.axes)[None]
-        result = check_arrays.array("axes", self.axes(points), (len(points), 3, 3))
+        result = checks.array("axes", self.axes(points), (len(points), 3, 3))
         _check_axes(result)
         return result
 
@@ -79,8 +78,8 @@ def _check_axes(axes: np.ndarray) -> None:
 def _stiffness(young: Sequence[float], poisson: Sequence[float], shear: Sequence[float]) -> tuple:
     """The stiffness (6, 6) of an orthotropic material."""
     e, g = (tuple(checks.quantity(f"{name}[{i}]", value, positive=True) for i, value in enumerate(
-        check_arrays.vector(name, values, 3))) for name, values in (("young", young), ("shear", shear)))
-    nu = check_arrays.vector("poisson", poisson, 3)
+        checks.vector(name, values, 3))) for name, values in (("young", young), ("shear", shear)))
+    nu = checks.vector("poisson", poisson, 3)
     compliance = np.diag(1 / np.array([*e, g[2], g[1], g[0]]))
     for (i, j), ratio in zip(((0, 1), (0, 2), (1, 2)), nu, strict=True):
         compliance[i, j] = compliance[j, i] = -ratio / e[i]
@@ -284,7 +283,7 @@ class Solid(Elastic):
         >>> am.Solid.anisotropic([[1e9 * c for c in row] for row in silicon]).dim
         3
         """
-        c = check_arrays.array("stiffness", stiffness, (6, 6))
+        c = checks.array("stiffness", stiffness, (6, 6))
         if not np.abs(c - c.T).max() <= _SYMMETRIC * np.abs(c).max():
             raise ValueError("stiffness must be symmetric")
         scale = np.sqrt(np.maximum(np.diag(c), 0.0))
@@ -296,6 +295,6 @@ class Solid(Elastic):
 def _axes(axes: Axes | None) -> tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None:
     if axes is None or (callable(axes) and not isinstance(axes, type)):
         return axes
-    rows = check_arrays.array("axes", axes, (3, 3))
+    rows = checks.array("axes", axes, (3, 3))
     _check_axes(rows[None])
     return tuple(map(tuple, rows.tolist()))

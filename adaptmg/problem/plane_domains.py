@@ -15,7 +15,6 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._checks import Name, Size
 from adaptmg._text import brief
@@ -62,7 +61,7 @@ class Domain(checks.Checked):
 
 def corner(name: str, value: object, dim: int) -> tuple[float, ...]:
     """Return ``value`` as ``dim`` finite numbers."""
-    return tuple(map(float, check_arrays.vector(name, value, dim)))
+    return tuple(map(float, checks.vector(name, value, dim)))
 
 
 Pair = Annotated[tuple[float, float], partial(corner, dim=2)]
@@ -131,7 +130,7 @@ class Box(Domain):
 
 
 def _vertices(name: str, value: object) -> tuple[tuple[float, float], ...]:
-    points = check_arrays.array(name, value, (None, 2))
+    points = checks.array(name, value, (None, 2))
     if len(points) < 2:
         raise ValueError(f"{name} must be at least 2 pairs of numbers, got {checks.shown(value)}")
     if not (np.abs(points) <= checks.VAST).all():

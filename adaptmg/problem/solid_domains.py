@@ -14,7 +14,6 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._checks import Quantity, Size
 from adaptmg._text import brief
@@ -32,7 +31,7 @@ class SolidDomain(Domain):
 
 
 def _direction(name: str, value: object) -> tuple[float, ...]:
-    return tuple(map(float, check_arrays.direction(name, value, 3)))
+    return tuple(map(float, checks.direction(name, value, 3)))
 
 
 def _profile(name: str, value: Domain) -> Outline:

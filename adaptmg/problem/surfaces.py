@@ -21,14 +21,13 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name, Size, Value
 from adaptmg._text import brief
 from adaptmg.problem.laws import Law, check_law
 from adaptmg.problem.loads import Acting, point
 
-Numbers = Annotated[Sequence[float], lambda name, value: tuple(check_arrays.vector(name, value).tolist())]
+Numbers = Annotated[Sequence[float], lambda name, value: tuple(checks.vector(name, value).tolist())]
 OwnLaw = Annotated[Law, check_law]
 
 
@@ -74,7 +73,7 @@ class Plane(checks.Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        checks.convert(self, check_arrays.direction, "normal", n=self.dim)
+        checks.convert(self, checks.direction, "normal", n=self.dim)
 
     @property
     def dim(self) -> int:
@@ -135,7 +134,7 @@ class _MovingPart(Acting):
         if len(place) != self.dim:
             raise ValueError(f"{what} must have {len(place)} components, as the obstacle, got {self.dim}")
         about = place if self.about is None else self.about
-        object.__setattr__(self, "about", check_arrays.vector("about", about, self.dim))
+        object.__setattr__(self, "about", checks.vector("about", about, self.dim))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +183,7 @@ class Moving(_MovingPart):
         turn, dim = self.rotation, self.dim
         if np.ndim(turn) == 0:
             turn = (turn,) if dim == 2 or turn != 0 else np.zeros(3)
-        object.__setattr__(self, "rotation", check_arrays.vector("rotation", turn, 2 * dim - 3))
+        object.__setattr__(self, "rotation", checks.vector("rotation", turn, 2 * dim - 3))
         self._check_place("displacement")
 
     @property

@@ -20,7 +20,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator
 
 from adaptmg import _checks as checks
-from adaptmg._blas import seeded
+from adaptmg._threads import seeded
 from adaptmg.smoother.factorisation import OrderedFactors, dofs_of, nested_dissection, node_graph
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from typing import Protocol
 
 import numpy as np
 
-from adaptmg._blas import one_blas_thread
 from adaptmg._text import in_html_lines, shortened
+from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.solver.aggregates import Aggregates, aggregates_of

@@ -19,11 +19,10 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._blas import one_blas_thread
 from adaptmg._files import make_folder
 from adaptmg._text import html_table, in_html_lines, say, shortened
+from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.discretise import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.obstacles import moved
 from adaptmg.discrete.problem import DiscreteProblem
@@ -170,7 +169,7 @@ class PathResult(Sequence[Result]):
         store = StepStore.read(checks.file_path("folder", folder), _HEAD, KINDS)
         with damage(store.file):
             steps = checks.integer("steps", store.head["steps"])
-            factors = {name: check_arrays.vector(f"factors[{name!r}]", values, steps)
+            factors = {name: checks.vector(f"factors[{name!r}]", values, steps)
                        for name, values in checks.instance("factors", store.head["factors"], dict).items()}
         return cls(tuple(result for result, _ in _results(store, steps)), factors, store.head["fingerprint"], steps)
 

@@ -17,7 +17,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
@@ -89,7 +88,7 @@ def displacement_argument(name: str, value: ArrayLike | Result | None, discrete:
     if value is None:
         return None
     given = value.displacement if isinstance(value, Result) else value
-    array = check_arrays.array(name, given, (discrete.n_nodes, discrete.dim))
+    array = checks.array(name, given, (discrete.n_nodes, discrete.dim))
     size = np.abs(array).max(initial=0.0)
     if not size <= checks.VAST:
         raise ValueError(f"{name} must be at most {checks.VAST:g} m, got {size:.3g}")
@@ -100,7 +99,7 @@ def pressures_argument(start: ArrayLike | Result | None, discrete: DiscreteProbl
     """The pressures of the volumes of a problem at a start, if it has them."""
     if discrete.volumes is None or not isinstance(start, Result) or start.pressures is None:
         return None
-    return check_arrays.vector("start.pressures", start.pressures, len(discrete.volumes))
+    return checks.vector("start.pressures", start.pressures, len(discrete.volumes))
 
 
 def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, ClassVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
 from adaptmg._on_demand import ABSENT, made_on_demand
@@ -215,7 +214,7 @@ class Result:
 
         mesh = self.mesh
         one = getattr(points, "ndim", 0) == 1 or (isinstance(points, (list, tuple)) and not any(map(np.ndim, points)))
-        array = check_arrays.array("points", [points] if one else points, (None, mesh.dim))
+        array = checks.array("points", [points] if one else points, (None, mesh.dim))
         location = PointLocator(mesh).locate(array)
         outside = location.distance > 1e-6 * mesh.element_sizes[location.element]
         if outside.any():
@@ -416,7 +415,7 @@ class Result:
         nodes, forces = (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)
         if mesh is None:
             return Resultant(forces.sum(axis=0), ABSENT)
-        about = np.zeros(self.dim) if about is None else check_arrays.vector("about", about, self.dim)
+        about = np.zeros(self.dim) if about is None else checks.vector("about", about, self.dim)
         tied = () if self.ties is None else self.ties.names
         touches = boundary in ("contact", *self.contact.names, *self.contact.masters, *tied)
         of_springs = np.array(self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3)))

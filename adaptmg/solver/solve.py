@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
-from adaptmg._blas import one_blas_thread
 from adaptmg._text import say
+from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy

@@ -220,7 +220,7 @@ def check(order: Order) -> None:
 def warm() -> None:
     """Compile the kernels of the default method, or read them from the cache, before a clock starts."""
     import adaptmg as am
-    from adaptmg._blas import one_blas_thread
+    from adaptmg._threads import one_blas_thread
 
     with one_blas_thread():
         am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)), am.FullMultigrid(), throw=False)

@@ -29,7 +29,6 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.discrete.contact_nodes import ContactNodes, largest_entry
 from adaptmg.discrete.problem import DiscreteProblem
@@ -54,13 +53,13 @@ def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_
 
 def with_contact_rows(P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.csr_array) -> sparse.csr_array:
     """Return a nodal prolongation (n_fine, n_coarse) with other rows (n, n_coarse) for distinct fine nodes (n,)."""
-    nodes = check_arrays.array("fine_nodes", fine_nodes, (None,), integer=True)
+    nodes = checks.array("fine_nodes", fine_nodes, (None,), integer=True)
     if rows.shape != (len(nodes), P.shape[1]) or len(np.unique(nodes)) < len(nodes):
         raise ValueError(f"rows must have shape ({len(nodes)}, {P.shape[1]}), one for each of distinct fine_nodes, got "
                          f"{rows.shape}")
     row_of = np.arange(P.shape[0])
     row_of[nodes] = P.shape[0] + np.arange(len(nodes))
-    return check_arrays.narrowed(sparse.csr_array(sparse.vstack([P, rows], format="csr")[row_of]))
+    return checks.narrowed(sparse.csr_array(sparse.vstack([P, rows], format="csr")[row_of]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +128,7 @@ def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.c
     if sparse.issparse(returned) and returned.shape != wanted:
         raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
                          f"got {returned.shape}")
-    nodal = check_arrays.sparse_matrix(f"what transfer.build of {checks.shown(transfer)} returns", returned)
+    nodal = checks.sparse_matrix(f"what transfer.build of {checks.shown(transfer)} returns", returned)
     nodal = sparse.csr_array(nodal, dtype=np.float64)
     if not nodal.has_sorted_indices:  # products sort in place, and prolongations are read-only
         nodal = nodal.sorted_indices()

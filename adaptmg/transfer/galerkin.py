@@ -11,11 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
-from adaptmg._blas import one_blas_thread, seeded
 from adaptmg._numba import kernel, read_only
-from adaptmg._threads import in_parts
+from adaptmg._threads import in_parts, one_blas_thread, seeded
 
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
 
@@ -161,7 +159,7 @@ def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weigh
 
 def _prolongation(name: str, value: object) -> sparse.csr_array:
     # a copy: duplicates are summed in place
-    P = sparse.csr_array(check_arrays.sparse_matrix(name, value), dtype=np.float64, copy=True)
+    P = sparse.csr_array(checks.sparse_matrix(name, value), dtype=np.float64, copy=True)
     P.sum_duplicates()
     largest = np.abs(P.data).max(initial=0.0)
     if not _SMALLEST <= largest <= 1 / _SMALLEST:

@@ -21,7 +21,7 @@ from typing import TypeVar
 import numpy as np
 from scipy import sparse
 
-from adaptmg._check_arrays import narrowed
+from adaptmg._checks import narrowed
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.clipping import PIECES, SNAP, common_moments
 from adaptmg.geometry.location import affine_maps

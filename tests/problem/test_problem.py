@@ -11,7 +11,6 @@ from made import square
 from refused import refused
 
 import adaptmg as am
-from adaptmg import _check_arrays as check_arrays
 from adaptmg import _checks as checks
 from adaptmg.discrete import discretise, fixed_dofs
 from adaptmg.discrete.discretise import load_steps
@@ -50,7 +49,7 @@ def polygon(n: int = 4, names: str = "abcd", turn: int = 1) -> am.Polygon:
 def test_checks_return_the_type_that_is_needed():
     assert checks.integer("n", np.int32(3), 1) == 3 and checks.nonnegative("length", 0) == 0.0
     assert checks.choice("shape", "V", "VW") == "V"
-    vector = check_arrays.vector("v", [1, 2], 2)
+    vector = checks.vector("v", [1, 2], 2)
     assert vector.dtype == np.float64 and not vector.flags.writeable
     points = np.arange(6.0).reshape(3, 2)
     for value, expected in ((2, [2, 2, 2]), (lambda x: x[:, 0], [0, 2, 4]), (lambda x: 5.0, [5, 5, 5])):
@@ -222,7 +221,7 @@ def test_a_solution_has_the_prescribed_function_in_every_step():
 
 
 VALUES = {
-    r"v must have shape \(2,\), got \(1,\)": lambda: check_arrays.vector("v", [1.0], 2),
+    r"v must have shape \(2,\), got \(1,\)": lambda: checks.vector("v", [1.0], 2),
     r"return shape \(3,\)": lambda: checks.field("f", lambda x: x, POINTS),
     r"f must be finite, got nan at \(2.0, 3.0\)": lambda: checks.field(
         "f", lambda x: np.where(x[:, 0] == 2, np.nan, 1), POINTS),
@@ -274,7 +273,7 @@ VALUES = {
         loads=(am.InitialStrain("body", (1e-3, 0)),)),
 }
 TYPES = {
-    "v must be an array of real numbers": lambda: check_arrays.vector("v", ["a", "b"]),
+    "v must be an array of real numbers": lambda: checks.vector("v", ["a", "b"]),
     "must be evaluated at the nodes first": lambda: am.Tresca(lambda x: x[:, 0]).bounds(3),
     "belong on a DiscreteProblem": lambda: am.Coulomb(np.ones(3)).at_nodes(POINTS, np.ones(3)),
     "one a component": lambda: am.Traction("top", lambda x: x),

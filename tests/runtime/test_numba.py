@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba.core.event import Listener, register, unregister
 
 import adaptmg as am
 from adaptmg._numba import compiling_seconds, inner_kernel, kernel
@@ -32,32 +31,15 @@ def test_a_kernel_calls_inner_ones_and_divides_as_numpy_does():
     assert over(2.0, 4.0) == 1.0 and over(1.0, 0.0) == np.inf
 
 
-class Passes(Listener):
-    """Notes at each pass of the compiler whether garbage is collected."""
-
-    def __init__(self):
-        self.collects = []
-
-    def on_start(self, event):
-        self.collects.append(gc.isenabled())
-
-    def on_end(self, event):
-        pass
-
-
-def test_compiling_is_counted_and_collects_no_garbage():
+def test_compiling_is_counted():
     @kernel(cache=False)
     def once(a):
         return _twice(a) + 1.0
 
-    passes, before = Passes(), compiling_seconds()
-    register("numba:run_pass", passes)
-    try:
-        assert once(1.0) == 3.0
-    finally:
-        unregister("numba:run_pass", passes)
+    before = compiling_seconds()
+    assert once(1.0) == 3.0
     after = compiling_seconds()
-    assert after > before and passes.collects and not any(passes.collects) and gc.isenabled()
+    assert after > before
     once(2.0)
     assert compiling_seconds() == after
 

@@ -15,7 +15,7 @@ import threadpoolctl
 from bodies import bar_hierarchy, bar_on_block
 
 import adaptmg as am
-from adaptmg._blas import one_blas_thread, seeded
+from adaptmg._threads import one_blas_thread, seeded
 
 AMG_STEPS = am.ActiveSet(linear=am.AMG(), rtol=1e-8)
 
@@ -158,7 +158,7 @@ def test_user_defined_parts_see_one_thread():
 
 
 def test_a_fork_inside_is_free_again():
-    code = ("import os, threadpoolctl\nfrom adaptmg._blas import one_blas_thread\nimport scipy.linalg\n"
+    code = ("import os, threadpoolctl\nfrom adaptmg._threads import one_blas_thread\nimport scipy.linalg\n"
             "with one_blas_thread():\n    child = os.fork()\n    if child == 0:\n"
             "        with one_blas_thread():\n            pass\n        os._exit(0)\n"
             "assert os.waitpid(child, 0)[1] == 0\n")
