@@ -1,9 +1,8 @@
 """ContactProblem + mesh -> DiscreteProblem: P1 elements, loads, contact nodes, mortar coupling of bodies."""
 
 from adaptmg.discrete.discretise import discretise
-from adaptmg.discrete.elasticity import stiffness
+from adaptmg.discrete.elasticity import rigid_motions, stiffness
 from adaptmg.discrete.loads import load_vector
-from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import element_strain, full_stress, von_mises
 from adaptmg.discrete.supports import fixed_dofs
 

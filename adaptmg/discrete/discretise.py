@@ -38,8 +38,9 @@ from adaptmg._on_demand import OnDemand
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.contact_nodes import Stops, bounded, check_bounds, check_size
 from adaptmg.discrete.coordinates import held_slaves
-from adaptmg.discrete.elasticity import Materials, body_materials
+from adaptmg.discrete.elasticity import nodes_of_pieces, rigid_motions
 from adaptmg.discrete.loads import load_vector, supported_stiffness
+from adaptmg.discrete.moduli import Materials, body_materials
 from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
 from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.discrete.obstacles import (
@@ -51,7 +52,6 @@ from adaptmg.discrete.obstacles import (
     with_motions,
 )
 from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
-from adaptmg.discrete.rigid_modes import nodes_of_pieces, rigid_motions
 from adaptmg.discrete.sides import jump_of, tie_interfaces, with_sides
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import HeldNodes, fixed_dofs, inclined_supports, supported_nodes

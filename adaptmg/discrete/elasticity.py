@@ -1,212 +1,219 @@
-r"""The stiffness matrix of P1 elasticity; the bodies may differ in material.
+r"""The stiffness matrix of elasticity: of linear elements, or with strains smoothed over edges; rigid-body motions.
 
-.. math:: a(u, v) = \int_\Omega \lambda\,\mathrm{div}\,u\,\mathrm{div}\,v + 2\mu\,\varepsilon(u) : \varepsilon(v),
-   \qquad K_{ab} = V \left(\lambda\, g_a g_b^T + \mu\, g_b g_a^T + \mu\,(g_a \cdot g_b) I\right)
+The matrix is a sum over patches, in which the strain :math:`B_p u` is constant,
 
-with the Lame constants of the material, so that plane stress, plane strain and three dimensions are one form, the
-constant gradients g_a of the shape functions and the volume V of an element. In axisymmetry x is the radius r and y the
-axial coordinate z, the hoop strain :math:`u_r / r` joins in, all is weighted with :math:`2 \pi r`, and forces are in N.
-There :math:`\int r` and :math:`\int \varphi_a` are exact, :math:`\int \varphi_a \varphi_b / r` takes a rule with
-interior points and positive weights: any rule that is exact for degree 1 gives the other integrals too, so that the sum
-is one quadrature of the energy, hence positive semidefinite, and constant strains (:math:`u_r = c r`) are exact.
+.. math:: K = \sum_p V_p\, B_p^T C B_p ,
 
-Both blocks (a, b) and (b, a) come from one computation and are added in the order of the elements: the matrix is
-bitwise symmetric, and the same in every run.
+with the tensors C of :mod:`adaptmg.discrete.moduli`. The patches of linear elements are the elements. Edge-smoothed
+elements take, for each edge e of a body, the mean strain of the elements T around it, which have k = 3 (in space 6)
+edges (G. R. Liu, T. Nguyen-Thoi and K. Y. Lam, J. Sound Vib. 320, 2009, doi:10.1016/j.jsv.2008.08.027):
+
+.. math:: V_e = \sum_{T \ni e} V_T / k, \qquad V_e B_e = \sum_{T \ni e} V_T B_T / k .
+
+A mean does not go beyond a body, across which strains jump; Lame's first constant is cut off at :math:`4 \mu` there
+(:mod:`adaptmg.discrete.volumes`). With the mean :math:`(S v)_T` over the edges of T of the means around them
+
+.. math:: u^T K v = \sum_T V_T\, B_T u : (C S B v)_T ,
+
+where S is symmetric for the weights V. Loads of initial strains, energies and stresses follow from S.
+
+In axisymmetry x is the radius r and y the axial coordinate z, the hoop strain :math:`u_r / r` joins in, all is weighted
+with :math:`2 \pi r`, and forces are in N. A patch has the hoop strain at the centroid of its element, which is the mean
+over the volume. To linear elements its variation within the element adds
+
+.. math:: C_{\theta\theta} \Big(\int 2\pi\,\frac{u_r v_r}{r} - \frac{\int 2\pi\, u_r \int 2\pi\, v_r}{\int 2\pi\, r}
+   \Big) ,
+
+by a rule with interior points and positive weights: the matrix is positive semidefinite, and constant strains
+(:math:`u_r = c r`) are exact.
+
+The upper half of each row is summed in the order of its patches, and mirrored: the matrix is bitwise symmetric, and the
+same in every run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
-from adaptmg._numba import inner_kernel, kernel
-from adaptmg._threads import in_colours, in_parts, scattering
-from adaptmg.discrete.anisotropic import Moduli, add_tensors, moduli
+from adaptmg._numba import kernel, read_only
+from adaptmg._threads import in_parts, one_blas_thread
+from adaptmg.discrete.moduli import EDGE_PART, Materials, body_materials, is_axisymmetric, moduli
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.materials import Axisymmetric, Elastic
 
-#: one material for all bodies, body name -> material, or what :func:`body_materials` returns
-Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]
-
-# of the largest radius: nodes on the axis may lie this far behind it by rounding
-_ROUNDING = 1e-9
+#: corners of the edges of an element
+_EDGES = {2: np.array([(0, 1), (0, 2), (1, 2)]), 3: np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])}
 
 
-def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]:
-    """Return materials in the order of ``mesh.bodies``, checked against the mesh; such a tuple stays unchanged."""
-    if isinstance(material, tuple):
-        return material
-    if isinstance(material, Mapping):
-        missing = [body for body in mesh.bodies if body not in material]
-        if missing:
-            raise ValueError(f"no material for body {missing[0]!r}; the bodies are {', '.join(mesh.bodies)}, materials "
-                             f"are given for {', '.join(map(str, material)) or 'none'}")
-        materials = tuple(material[body] for body in mesh.bodies)
-    else:
-        materials = (material,) * len(mesh.bodies)
-    for one in materials:
-        if not isinstance(one, Elastic):
-            raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping body name "
-                            f"-> one of them, got {one!r}")
-        if one.dim != mesh.dim:
-            raise ValueError(f"the material is {one.dim}D, the mesh {mesh.dim}D: use Solid in 3D, PlaneStrain, "
-                             "PlaneStress or Axisymmetric in 2D")
-    if is_axisymmetric(materials):
-        if not all(isinstance(one, Axisymmetric) for one in materials):
-            raise ValueError("either all bodies are Axisymmetric or none, got "
-                             + ", ".join(type(one).__name__ for one in materials))
-        r = mesh.points[:, 0]
-        if r.min() < -_ROUNDING * r.max():
-            raise ValueError(f"axisymmetric bodies lie at radii x >= 0, got x = {r.min():.6g} m at node "
-                             f"{int(np.argmin(r))}")
-    return materials
-
-
-def is_axisymmetric(material: Materials) -> bool:
-    """Return whether x is the radius r, y the axial coordinate z, and integrals are weighted with 2 pi r."""
-    if isinstance(material, Elastic):
-        return isinstance(material, Axisymmetric)
-    materials = material.values() if isinstance(material, Mapping) else material
-    return any(isinstance(one, Axisymmetric) for one in materials)
-
-
-def lame_constants(materials: tuple[Elastic, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Lame constants lambda and mu (n_bodies,) as they enter the stress, Pa."""
-    return np.array([one.lame for one in materials]), np.array([one.shear_modulus for one in materials])
-
-
-def stiffness(mesh: MeshArrays, material: Materials) -> sparse.bsr_array:
+@one_blas_thread()
+def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -> sparse.bsr_array:
     """Assemble the stiffness matrix (n_dofs, n_dofs), with no boundary condition applied.
 
     Blocks of dim x dim, sorted indices, dof = dim * node + component; bitwise symmetric. N/m (plane: per metre of
     thickness; axisymmetric: of the full circumference). The material is the same in all bodies, or body name ->
-    Elastic. ValueError if materials and mesh do not fit, a node number is out of range, or an element is inverted or
-    degenerate.
+    Elastic; ``elements`` are "linear" or "smoothed". ValueError if materials and mesh do not fit, a node number is out
+    of range, or an element is inverted or degenerate.
 
     On the axis r = 0 the user prescribes u_r = 0, e.g. ``Support("axis", x=0.0)``: the hoop strain is bounded for no
     other displacement. Without it the matrix is finite still.
     """
-    materials = body_materials(mesh, material)
-    dim = mesh.dim
-    indptr, indices, *of_nodes = node_pattern(mesh.elements, mesh.n_nodes)
-    check_used(indptr)
-    data, bad, own = np.empty((len(indices), dim, dim)), -1, moduli(mesh, materials)
-    arguments = (mesh.points, mesh.elements, mesh.element_body, *lame_constants(materials))
-    if own is not None:
-        in_parts(_clear, len(data), data.size, data)
-        _add_tensors(mesh, own, is_axisymmetric(materials), indptr, indices, data)
-        in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
-    elif dim == 3:
-        bad = max(in_parts(add_solid, mesh.n_nodes, data.size, *arguments, *of_nodes, indptr, indices, data))
-        in_parts(mirror, mesh.n_nodes, data.size, indptr, indices, data)
+    materials, dim = body_materials(mesh, material), mesh.dim
+    axisymmetric = is_axisymmetric(materials)
+    if elements == "smoothed":
+        patches, of_elements = _around_edges(mesh, axisymmetric), moduli(mesh, materials, EDGE_PART)
     else:
-        # not np.zeros: its pages are mapped one by one while they are written, several times slower
-        in_parts(_clear, len(data), data.size, data)
-        if is_axisymmetric(materials):
-            bad = add_axisymmetric(*arguments, *quadrature_rule(3, AXISYMMETRIC_DEGREE), indptr, indices, data)
-        else:
-            ranges = scattering(mesh.elements, size=data.size)
-            bad = max(in_colours(ranges, add_plane, *arguments, indptr, indices, data))
-    check_shapes(mesh, bad)
-    return block_matrix(data, indices, indptr)
-
-
-def _add_tensors(mesh: MeshArrays, own: Moduli, axisymmetric: bool, indptr: np.ndarray, indices: np.ndarray,
-                 data: np.ndarray) -> None:
-    """Add the element matrices of any tensors to the upper half."""
-    n, corners = mesh.elements.shape
-    slopes, measures = np.empty((n, corners, mesh.dim)), np.empty(n)
-    check_shapes(mesh, shape_gradients(0, n, mesh.points, mesh.elements, slopes, measures))
-    nodes = np.arange(n + 1) * corners, mesh.elements.ravel(), slopes.reshape(-1, mesh.dim)
-    blocks = own.rows, own.table, indptr, indices, data
-    if not axisymmetric:
-        add_tensors(*nodes, np.empty(0), measures, *blocks)
-        return
-    for at, weight in zip(*quadrature_rule(corners, AXISYMMETRIC_DEGREE), strict=True):
-        r = mesh.points[mesh.elements, 0] @ at
-        add_tensors(*nodes, (at / r[:, None]).ravel(), weight * 2 * np.pi * r * measures, *blocks)
-
-
-def check_used(indptr: np.ndarray) -> None:
-    """Raise ValueError for a node without a row in the pattern."""
-    if not (indptr[1:] > indptr[:-1]).all():
-        raise ValueError(f"node {np.argmin(indptr[1:] > indptr[:-1])} belongs to no element; remove unused nodes")
-
-
-def check_shapes(mesh: MeshArrays, bad: int) -> None:
-    """Raise ValueError for the element that a kernel returned, unless that is -1."""
-    if bad >= 0:
-        raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
-                         "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
-
-
-def block_matrix(data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> sparse.bsr_array:
-    """Return the matrix of blocks (n, dim, dim) with sorted columns, whose pattern is not written again."""
+        patches, of_elements = _of_elements(mesh, axisymmetric), moduli(mesh, materials)
+    of_nodes = transposed(patches.start, patches.nodes, mesh.n_nodes)
+    indptr, indices = pattern(of_nodes, patches.start, patches.nodes)
+    data = np.empty((len(indices), dim, dim))
+    in_parts(_add_patches, mesh.n_nodes, data.size, (0.0,) * dim, of_nodes.indptr, of_nodes.indices, of_nodes.data,
+             patches.start, patches.nodes, patches.slopes, patches.hoops, patches.spread, patches.measures,
+             of_elements.rows[patches.element], of_elements.table, indptr, indices, data)
+    in_parts(_mirror, mesh.n_nodes, data.size, indptr, indices, data)
     if len(indices) < 2**31:
         indptr = indptr.astype(np.int32)
     for array in (indices, indptr):
         array.flags.writeable = False
-    n_dofs = data.shape[1] * (len(indptr) - 1)
-    matrix = sparse.bsr_array((data, indices, indptr), shape=(n_dofs, n_dofs), copy=False)
+    matrix = sparse.bsr_array((data, indices, indptr), shape=(dim * mesh.n_nodes,) * 2, copy=False)
     matrix.has_sorted_indices = True
     return matrix
 
 
-def node_pattern(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return row pointers and sorted columns of the nodal matrix; pointers to the elements of each node, and these."""
-    start, listed = np.zeros(n_nodes + 1, dtype=np.int64), np.empty(elements.size, dtype=np.int32)
-    list_elements(elements, start, listed)
-    return *pattern_of(start, listed, elements, start[:0], 4 * elements.size), start, listed
+@dataclass(frozen=True, eq=False)
+class _Patches:
+    """Parts in which the strain is that of the gradient sum_a u_a slope_a', in axisymmetry with the hoop strain
+    sum_a u_a hoop_a."""
+
+    start: np.ndarray  # (n_patches + 1,): patch p has the nodes start[p] to start[p + 1]
+    nodes: np.ndarray  # (n,) int32
+    slopes: np.ndarray  # (n, dim)
+    hoops: np.ndarray  # (n,), or (0,)
+    measures: np.ndarray  # (n_patches,): volumes
+    element: np.ndarray  # (n_patches,): an element there
+    spread: np.ndarray  # (n, corners), or (0, 0): what C of the hoop strains within an element multiplies
 
 
-def pattern_of(start: np.ndarray, listed: np.ndarray, nodes: np.ndarray, begin: np.ndarray, size: int
-               ) -> tuple[np.ndarray, np.ndarray]:
-    """Return row pointers and sorted columns of the matrix of patches: patch e has ``nodes[begin[e]:begin[e + 1]]``,
-    or nodes[e] of (n, k), node i is in those of ``listed[start[i]:start[i + 1]]``; ``size`` is that of the work."""
-    n, indptr = len(start) - 1, np.zeros(len(start), dtype=np.int64)
-    given = start, listed, nodes, begin, indptr
-    in_parts(find_neighbours, n, size, *given, np.empty(0, dtype=np.int32))
+def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
+    slopes, measures = shape_gradients(mesh)
+    n, corners, dim = slopes.shape
+    hoops, spread = np.empty(0), np.empty((0, 0))
+    if axisymmetric:
+        radii, (rule, weights) = mesh.points[mesh.elements, 0], quadrature_rule(corners, AXISYMMETRIC_DEGREE)
+        mean = radii.mean(axis=1)
+        # the integral over the element less that of the mean
+        rule, weights = np.vstack([rule, np.full(corners, 1 / corners)]), np.append(weights, -1.0)
+        at_points = 2 * np.pi * measures[:, None] * (weights / (radii @ rule.T))
+        spread = (at_points @ (rule[:, :, None] * rule[:, None]).reshape(len(rule), -1)).reshape(-1, corners)
+        hoops, measures = np.repeat(1 / (3 * mean), corners), 2 * np.pi * mean * measures
+    return _Patches(corners * np.arange(n + 1), mesh.elements.reshape(-1), slopes.reshape(-1, dim), hoops, measures,
+                    np.arange(n), spread)
+
+
+def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
+    edges, (values, measures) = _elements_of_edges(mesh), shape_gradients(mesh)
+    n, corners, dim = values.shape
+    if axisymmetric:
+        radius = mesh.points[mesh.elements, 0].mean(axis=1)
+        hoops = np.repeat(1 / (3 * radius), corners).reshape(n, corners, 1)
+        values, measures = np.concatenate([values, hoops], axis=2), 2 * np.pi * radius * measures
+    blocks = (measures[:, None, None] * values).reshape(n * corners, 1, -1)
+    of_elements = sparse.bsr_array((blocks, mesh.elements.reshape(-1), corners * np.arange(n + 1)),
+                                   shape=(n, blocks.shape[2] * mesh.n_nodes))
+    sums, volumes = sparse.bsr_array(edges, blocksize=(1, 1)) @ of_elements, edges @ measures
+    means = sums.data[:, 0] / np.repeat(volumes, np.diff(sums.indptr))[:, None]
+    return _Patches(sums.indptr.astype(np.int64), read_only(sums.indices), np.ascontiguousarray(means[:, :dim]),
+                    np.ascontiguousarray(means[:, dim:].reshape(-1)), volumes / len(_EDGES[dim]),
+                    edges.indices[edges.indptr[:-1]], np.empty((0, 0)))
+
+
+def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
+    """Return the volumes (n_elements,) of the elements, in axisymmetry of the full circumference."""
+    if not axisymmetric:
+        return mesh.volumes
+    return 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * mesh.volumes
+
+
+def _elements_of_edges(mesh: MeshArrays) -> sparse.csr_array:
+    """The elements (n_edges, n_elements) around each edge of each body, as ones."""
+    ends = np.sort(mesh.elements[:, _EDGES[mesh.dim]], axis=2).astype(np.int64)
+    keys = (mesh.element_body[:, None] * np.int64(mesh.n_nodes) + ends[:, :, 0]) * mesh.n_nodes + ends[:, :, 1]
+    number, (n, k) = np.unique(keys, return_inverse=True)[1].reshape(-1), keys.shape
+    edges = sparse.csr_array((np.ones(n * k), number, k * np.arange(n + 1)), shape=(n, number.max() + 1))
+    return sparse.csr_array(edges.T)
+
+
+def smoothed(mesh: MeshArrays, values: np.ndarray, measures: np.ndarray) -> np.ndarray:
+    """Return S v (n_elements, n_values) of the values of elements, which have these ``measures``."""
+    edges = _elements_of_edges(mesh)
+    means = (edges @ (measures[:, None] * values)) / (edges @ measures)[:, None]
+    return (edges.T @ means) / len(_EDGES[mesh.dim])
+
+
+def shape_gradients(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
+    """Return the gradients (n_elements, dim + 1, dim) of the shape functions of elements, and their volumes."""
+    n, corners = mesh.elements.shape
+    slopes, measures = np.empty((n, corners, mesh.dim)), np.empty(n)
+    bad = max(in_parts(_shape_gradients, n, slopes.size, (0.0,) * mesh.dim, mesh.points, mesh.elements, slopes,
+                       measures))
+    if bad >= 0:
+        raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
+                         "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
+    return slopes, measures
+
+
+def transposed(start: np.ndarray, nodes: np.ndarray, n_nodes: int) -> sparse.csc_array:
+    """Return for patches, which have the nodes ``nodes[start[p]:start[p + 1]]``, the patches of each node (n_patches,
+    n_nodes), ascending, and where it stands among ``nodes``."""
+    places = np.arange(len(nodes), dtype=np.int32 if len(nodes) < 2**31 else np.int64)
+    return sparse.csr_array((places, nodes, start), shape=(len(start) - 1, n_nodes)).tocsc()
+
+
+def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> sparse.csc_array:
+    """Return the elements of each node, ascending; see :func:`transposed`."""
+    return transposed(elements.shape[1] * np.arange(len(elements) + 1), elements.reshape(-1), n_nodes)
+
+
+def pattern(of_nodes: sparse.csc_array, start: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return row pointers and sorted columns of the matrix of patches; ValueError for a node without one."""
+    n, indptr = of_nodes.shape[1], np.zeros(of_nodes.shape[1] + 1, dtype=np.int64)
+    arguments = of_nodes.indptr, of_nodes.indices, start, nodes, indptr
+    in_parts(_find_neighbours, n, 8 * len(nodes), *arguments, np.empty(0, dtype=np.int32))
+    if not indptr[1:].all():
+        raise ValueError(f"node {np.argmin(indptr[1:])} belongs to no element; remove unused nodes")
     np.cumsum(indptr, out=indptr)
     indices = np.empty(indptr[-1], dtype=np.int32)
-    in_parts(find_neighbours, n, size, *given, indices)
+    in_parts(_find_neighbours, n, 8 * len(nodes), *arguments, indices)
     return indptr, indices
 
 
-def _clear(first: int, last: int, data: np.ndarray) -> None:
-    data[first:last] = 0.0
+def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
+    """Return the elements and points, a point for each body that uses a node: first those of the first such body."""
+    n = mesh.n_nodes
+    if len(mesh.bodies) == 1:
+        return mesh.elements, mesh.points
+    keys = mesh.element_body[:, None].astype(np.int64) * n + mesh.elements
+    used, numbers = np.unique(keys, return_inverse=True)  # by body, then node
+    node, again = used % n, np.ones(len(used), dtype=bool)
+    again[np.unique(node, return_index=True)[1]] = False
+    points = np.concatenate([mesh.points, mesh.points[node[again]]])
+    place = np.where(again, n - 1 + np.cumsum(again), node).astype(np.int32)
+    return read_only(place[numbers.reshape(keys.shape)]), read_only(points)
 
 
 @kernel
-def list_elements(elements, start, listed):
-    """List elements of each node, ascending: ``listed[start[i]:start[i + 1]]``; ``start`` (n_nodes + 1,) comes as 0."""
-    n = len(start) - 1
-    for e in range(len(elements)):
-        for v in elements[e]:
-            start[v + 1] += 1
-    for i in range(n):
-        start[i + 1] += start[i]
-    for e in range(len(elements)):
-        for v in elements[e]:
-            listed[start[v]] = e
-            start[v] += 1
-    for i in range(n, 0, -1):
-        start[i] = start[i - 1]
-    start[0] = 0
-
-
-@kernel
-def find_neighbours(first, last, start, listed, nodes, begin, indptr, indices):
+def _find_neighbours(first, last, start, listed, begin, nodes, indptr, indices):
     """Find the columns of the pattern, ascending: nodes that share a patch, each node with itself. Without ``indices``
     how many there are, to ``indptr[1:]``, which comes back summed up with them."""
     marker = np.full(len(start) - 1, -1, dtype=np.int32)
     for i in range(first, last):
         count, row = 0, indptr[i]
         for at in range(start[i], start[i + 1]):
-            e = listed[at]
-            for v in nodes[e] if nodes.ndim == 2 else nodes[begin[e]:begin[e + 1]]:
+            for p in range(begin[listed[at]], begin[listed[at] + 1]):
+                v = nodes[p]
                 if marker[v] != i:
                     marker[v] = i
                     if len(indices):
@@ -221,170 +228,131 @@ def find_neighbours(first, last, start, listed, nodes, begin, indptr, indices):
             indptr[i + 1] = count
 
 
-@inner_kernel
-def plane_gradients(points, corners, g):
-    """Write the gradients (3, 2) of the shape functions; returns the area, and nothing if that is not positive."""
-    a, b, c = corners[0], corners[1], corners[2]
-    x1, y1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-    x2, y2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
-    det = x1 * y2 - y1 * x2
-    if det > 0.0:
-        g[1, 0], g[1, 1] = y2 / det, -x2 / det
-        g[2, 0], g[2, 1] = -y1 / det, x1 / det
-        g[0, 0], g[0, 1] = -(g[1, 0] + g[2, 0]), -(g[1, 1] + g[2, 1])
-    return det / 2.0
-
-
-@inner_kernel
-def solid_gradients(points, corners, g):
-    """Write the gradients (4, 3) of the shape functions; returns the volume, and nothing if that is not positive."""
-    a, b, c, d = corners[0], corners[1], corners[2], corners[3]
-    x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-    x2, y2, z2 = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
-    x3, y3, z3 = points[d, 0] - points[a, 0], points[d, 1] - points[a, 1], points[d, 2] - points[a, 2]
-    g[1, 0], g[1, 1], g[1, 2] = y2 * z3 - z2 * y3, z2 * x3 - x2 * z3, x2 * y3 - y2 * x3
-    g[2, 0], g[2, 1], g[2, 2] = y3 * z1 - z3 * y1, z3 * x1 - x3 * z1, x3 * y1 - y3 * x1
-    g[3, 0], g[3, 1], g[3, 2] = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
-    det = x1 * g[1, 0] + y1 * g[1, 1] + z1 * g[1, 2]
-    if det > 0.0:
-        for j in range(3):
-            g[1, j] /= det
-            g[2, j] /= det
-            g[3, j] /= det
-            g[0, j] = -(g[1, j] + g[2, j] + g[3, j])
-    return det / 6.0
-
-
 @kernel
-def shape_gradients(first, last, points, elements, slopes, measures):
-    """Write the gradients (dim + 1, dim) of the shape functions of elements, and their volumes. Returns a bad one."""
+def _shape_gradients(first, last, zero, points, elements, slopes, measures):
+    """Write the gradients of the shape functions of elements, and their volumes. Returns a bad one, or -1. ``zero``
+    (dim,) is a tuple, so that loops over components are compiled for their length."""
+    dim = len(zero)
+    edges, normals = np.empty((len(zero), len(zero))), np.empty((len(zero), len(zero)))
     for e in range(first, last):
-        if points.shape[1] == 2:
-            measures[e] = plane_gradients(points, elements[e], slopes[e])
-        else:
-            measures[e] = solid_gradients(points, elements[e], slopes[e])
-        if not measures[e] > 0.0:
+        for k in range(dim):
+            for d in range(dim):
+                edges[k, d] = points[elements[e, k + 1], d] - points[elements[e, 0], d]
+        # the gradient of each corner's shape function, times the determinant of the edges
+        for k in range(dim):
+            a, b = (k + 1) % dim, (k + 2) % dim
+            if dim == 2:
+                normals[k, 0], normals[k, 1] = (1 - 2 * k) * edges[a, 1], (2 * k - 1) * edges[a, 0]
+            else:
+                for d in range(dim):
+                    i, j = (d + 1) % dim, (d + 2) % dim
+                    normals[k, d] = edges[a, i] * edges[b, j] - edges[a, j] * edges[b, i]
+        determinant = 0.0
+        for d in range(dim):
+            determinant += edges[0, d] * normals[0, d]
+        if not determinant > 0.0:
             return e
-    return -1
-
-
-@inner_kernel
-def _position(indptr, indices, a, b):
-    """Where the block (a, b), which is there, is stored."""
-    at = indptr[a]
-    while indices[at] != b:  # the row holds b
-        at += 1
-    return at
-
-
-@inner_kernel
-def _add_plane_block(a, b, xx, xy, yx, yy, indptr, indices, data):
-    """Add the block of nodes a, b, and off the diagonal its transpose at (b, a)."""
-    at = _position(indptr, indices, a, b)
-    data[at, 0, 0] += xx
-    data[at, 0, 1] += xy
-    data[at, 1, 0] += yx
-    data[at, 1, 1] += yy
-    if a != b:
-        at = _position(indptr, indices, b, a)
-        data[at, 0, 0] += xx
-        data[at, 0, 1] += yx
-        data[at, 1, 0] += xy
-        data[at, 1, 1] += yy
-
-
-@kernel
-def add_plane(first, last, points, elements, body, lame, shear, indptr, indices, data):
-    """Add the element matrices of plane elasticity; ``lame`` and ``shear`` are those of the bodies."""
-    g = np.empty((3, 2))
-    for e in range(first, last):
-        area = plane_gradients(points, elements[e], g)
-        if not area > 0.0:
-            return e
-        one, mu = area * lame[body[e]], area * shear[body[e]]
-        both = one + 2.0 * mu
-        for a in range(3):
-            for b in range(a, 3):
-                xx, yy, xy, yx = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
-                _add_plane_block(elements[e, a], elements[e, b], both * xx + mu * yy, one * xy + mu * yx,
-                                 one * yx + mu * xy, both * yy + mu * xx, indptr, indices, data)
+        measures[e] = determinant / (2.0 if dim == 2 else 6.0)
+        for d in range(dim):
+            slopes[e, 0, d] = 0.0
+            for k in range(dim):
+                slopes[e, k + 1, d] = normals[k, d] / determinant
+                slopes[e, 0, d] -= slopes[e, k + 1, d]
     return -1
 
 
 @kernel
-def add_solid(first, last, points, elements, body, lame, shear, start, listed, indptr, indices, data):
-    """Write the upper half of rows of solid elasticity; ``lame`` and ``shear`` are those of the bodies, ``listed`` the
-    elements of each node. Returns a bad element, or -1."""
-    g, slot = np.empty((4, 3)), np.empty(len(indptr) - 1, dtype=np.int64)
+def _add_patches(first, last, zero, start, patches, places, begin, nodes, slopes, hoops, spread, measures, rows, table,
+                 indptr, indices, data):
+    """Write the upper half of rows: node i is in ``patches[start[i]:start[i + 1]]``, in each at ``places``."""
+    dim, slot = len(zero), np.empty(len(indptr) - 1, dtype=np.int64)
+    stress = np.empty((2 * len(zero), len(zero)))
     for i in range(first, last):
         for at in range(indptr[i], indptr[i + 1]):
             slot[indices[at]] = at
         data[slot[i]:indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
-            e = listed[k]
-            corners, volume = elements[e], solid_gradients(points, elements[e], g)
-            if not volume > 0.0:
-                return e
-            one, mu = volume * lame[body[e]], volume * shear[body[e]]
-            a = 0
-            while corners[a] != i:  # i is a corner
-                a += 1
-            x, y, z = g[a, 0], g[a, 1], g[a, 2]
-            for b in range(4):
-                if corners[b] < i:
+            e, p = patches[k], places[k]
+            own, x, y = rows[e], measures[e] * slopes[p, 0], measures[e] * slopes[p, 1]
+            z = measures[e] * (slopes[p, 2] if dim == 3 else hoops[p] if len(hoops) else 0.0)
+            for c in range(2 * dim):
+                if dim == 3:
+                    stress[c, 0] = table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 5] * z
+                    stress[c, 1] = table[own, c, 3] * x + table[own, c, 1] * y + table[own, c, 4] * z
+                    stress[c, 2] = table[own, c, 5] * x + table[own, c, 4] * y + table[own, c, 2] * z
+                else:
+                    stress[c, 0] = table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 2] * z
+                    stress[c, 1] = table[own, c, 3] * x + table[own, c, 1] * y
+            for q in range(begin[e], begin[e + 1]):
+                if nodes[q] < i:
                     continue
-                u, v, w = g[b, 0], g[b, 1], g[b, 2]
-                block, dot = data[slot[corners[b]]], mu * (x * u + y * v + z * w)
-                block[0, 0] += one * (x * u) + mu * (x * u) + dot
-                block[0, 1] += one * (x * v) + mu * (y * u)
-                block[0, 2] += one * (x * w) + mu * (z * u)
-                block[1, 0] += one * (y * u) + mu * (x * v)
-                block[1, 1] += one * (y * v) + mu * (y * v) + dot
-                block[1, 2] += one * (y * w) + mu * (z * v)
-                block[2, 0] += one * (z * u) + mu * (x * w)
-                block[2, 1] += one * (z * v) + mu * (y * w)
-                block[2, 2] += one * (z * w) + mu * (z * w) + dot
-    return -1
+                at, u, v = slot[nodes[q]], slopes[q, 0], slopes[q, 1]
+                w = slopes[q, 2] if dim == 3 else hoops[q] if len(hoops) else 0.0
+                for a in range(dim):  # one addition each, for the sake of rounding
+                    if dim == 3:
+                        data[at, a, 0] += stress[0, a] * u + stress[3, a] * v + stress[5, a] * w
+                        data[at, a, 1] += stress[3, a] * u + stress[1, a] * v + stress[4, a] * w
+                        data[at, a, 2] += stress[5, a] * u + stress[4, a] * v + stress[2, a] * w
+                    else:
+                        data[at, a, 0] += stress[0, a] * u + stress[3, a] * v + stress[2, a] * w
+                        data[at, a, 1] += stress[3, a] * u + stress[1, a] * v
+                if len(spread):
+                    data[at, 0, 0] += table[own, 2, 2] * spread[p, q - begin[e]]
 
 
 @kernel
-def mirror(first, last, indptr, indices, data):
-    """Write the lower half of rows: the transposes of the upper one."""
+def _mirror(first, last, indptr, indices, data):
+    """Write the lower half of rows, diagonal blocks included: the transposes of the upper one."""
     for i in range(first, last):
-        at = indptr[i]
-        while indices[at] < i:  # the row holds its diagonal
-            block = data[_position(indptr, indices, indices[at], i)]
+        for at in range(indptr[i], indptr[i + 1]):
+            if indices[at] > i:
+                break
+            other = indptr[indices[at]]
+            while indices[other] != i:  # the pattern is symmetric
+                other += 1
             for k in range(data.shape[1]):
                 for m in range(data.shape[1]):
-                    data[at, k, m] = block[m, k]
-            at += 1
+                    data[at, k, m] = data[other, m, k]
 
 
-@kernel
-def add_axisymmetric(points, elements, body, lame, shear, rule, weights, indptr, indices, data):
-    """Add the element matrices of axisymmetric elasticity, x = r, y = z, over the full circumference. ``rule`` (n, 3)
-    and ``weights`` (n,), of sum 1, are the barycentric points and weights of int . / r."""
-    g, hoop = np.empty((3, 2)), np.empty((3, 3))
-    for e in range(len(elements)):
-        area = plane_gradients(points, elements[e], g)
-        if not area > 0.0:
-            return e
-        r0, r1, r2 = points[elements[e, 0], 0], points[elements[e, 1], 0], points[elements[e, 2], 0]
-        hoop[:] = 0.0
-        for q in range(len(rule)):
-            weight = weights[q] / (rule[q, 0] * r0 + rule[q, 1] * r1 + rule[q, 2] * r2)
-            for a in range(3):
-                for b in range(a, 3):
-                    hoop[a, b] += weight * rule[q, a] * rule[q, b]
-        first, mu = 2.0 * np.pi * area * lame[body[e]], 2.0 * np.pi * area * shear[body[e]]
-        both = first + 2.0 * mu
-        r = (r0 + r1 + r2) / 3.0
-        for a in range(3):
-            for b in range(a, 3):
-                rr, zz, rz, zr = g[a, 0] * g[b, 0], g[a, 1] * g[b, 1], g[a, 0] * g[b, 1], g[a, 1] * g[b, 0]
-                radial = r * (both * rr + mu * zz) + first * (g[a, 0] + g[b, 0]) / 3.0 + both * hoop[a, b]
-                _add_plane_block(elements[e, a], elements[e, b], radial,
-                                 r * (first * rz + mu * zr) + first * g[b, 1] / 3.0,
-                                 r * (first * zr + mu * rz) + first * g[a, 1] / 3.0,
-                                 r * (both * zz + mu * rr), indptr, indices, data)
-    return -1
+def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
+    """Return orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an uncoupled problem.
+
+    Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry (x = r, y = z), zero outside the body, in the order of
+    ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count as one.
+    """
+    columns = []
+    for nodes in nodes_of_pieces(mesh):
+        if axisymmetric:
+            modes = np.tile([[0.0], [1 / np.sqrt(len(nodes))]], (len(nodes), 1))
+        else:
+            modes = rigid_body_modes(mesh.points[nodes])
+        column = np.zeros((mesh.n_nodes, mesh.dim, modes.shape[1]))
+        column[nodes] = modes.reshape(len(nodes), mesh.dim, -1)
+        columns.append(column.reshape(mesh.points.size, -1))
+    return np.hstack(columns)
+
+
+def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
+    """Return the ascending nodes of each set of bodies that hang together, in the order of their first bodies."""
+    n_bodies = len(mesh.bodies)
+    if n_bodies == 1:
+        return [np.arange(mesh.n_nodes)]
+    body = np.repeat(mesh.element_body, mesh.elements.shape[1])
+    uses = sparse.coo_array((np.ones(len(body), dtype=np.int8), (body, n_bodies + mesh.elements.reshape(-1))),
+                            shape=(n_bodies + mesh.n_nodes,) * 2)
+    labels = connected_components(uses, directed=False)[1]
+    pieces = list(dict.fromkeys(labels[np.unique(mesh.element_body)].tolist()))
+    return [np.flatnonzero(labels[n_bodies:] == piece) for piece in pieces]
+
+
+@one_blas_thread()
+def rigid_body_modes(points: np.ndarray) -> np.ndarray:
+    """Return the translations and rotations (n_dofs, k) of points, orthonormal."""
+    n, dim = points.shape
+    x, planes = points - points.mean(axis=0), ((0, 1),) if dim == 2 else ((0, 1), (1, 2), (2, 0))
+    modes = np.zeros((n, dim, dim + len(planes)))
+    modes[:, range(dim), range(dim)] = 1.0
+    for k, (a, b) in enumerate(planes):
+        modes[:, a, dim + k], modes[:, b, dim + k] = -x[:, b], x[:, a]
+    return np.linalg.qr(modes.reshape(n * dim, -1))[0]

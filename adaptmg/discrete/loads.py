@@ -7,7 +7,7 @@ by quadrature of degree 2 on each element and facet, in axisymmetry, where all i
 degree 5: exact for data that are linear in position. Initial (stress-free) strains have principal components along the
 axes; the third one in two dimensions is through the thickness or, in axisymmetry, the hoop strain. It matters in plane
 strain, where the total strain through the thickness is zero, and in axisymmetry; in plane stress the sheet follows it.
-Smoothed elements (:mod:`adaptmg.discrete.smoothed`) take the means of initial strains around edges, as of all strains.
+Smoothed elements (:mod:`adaptmg.discrete.elasticity`) take the means of initial strains around edges, as of strains.
 
 Springs between boundaries or nodes and the ground add to the stiffness matrix, and exert forces:
 
@@ -25,9 +25,8 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.anisotropic import as_tensors, moduli
-from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, stiffness
-from adaptmg.discrete.smoothed import EDGE_PART, element_measures, smoothed, smoothed_stiffness
+from adaptmg.discrete.elasticity import element_measures, shape_gradients, smoothed, stiffness
+from adaptmg.discrete.moduli import EDGE_PART, Materials, as_tensors, body_materials, is_axisymmetric, moduli
 from adaptmg.discrete.supports import node_at
 from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays
@@ -125,34 +124,19 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[
         mean = mean_initial_strain(mesh, [load], axisymmetric=axisymmetric)
         strain, weights = smoothed(mesh, mean, volumes)[here, None], volumes[here, None]
         rule = np.full((1, mesh.dim + 1), 1 / (mesh.dim + 1))
-    k = mesh.bodies.index(load.body)
-    if isinstance(materials[k], PlaneStress):
+    if isinstance(materials[mesh.bodies.index(load.body)], PlaneStress):
         strain[:, :, 2] = 0.0
-    stress = _stress(mesh, materials, here, strain, EDGE_PART if elements == "smoothed" else np.inf)
+    own = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
+    columns = np.einsum("eij,eqj->eqi", own.table[own.rows[here], :, :3], strain)
+    stress = as_tensors(columns.reshape(-1, columns.shape[2])).reshape(*columns.shape[:2], 3, 3)
     cells, dim = mesh.elements[here], mesh.dim
-    corners = mesh.points[cells]
-    gradients = np.linalg.inv(corners[:, 1:] - corners[:, :1])
-    gradients = np.concatenate([-gradients.sum(axis=2, keepdims=True), gradients], axis=2)
-    forces = np.einsum("eic,eij->ecj", gradients, np.einsum("eq,eqij->eij", weights, stress[:, :, :dim, :dim]))
+    forces = shape_gradients(mesh)[0][here] @ np.einsum("eq,eqij->eij", weights, stress[:, :, :dim, :dim])
     if axisymmetric:
         r = quadrature_points(mesh.points, cells, rule)[:, :, 0]
         forces[:, :, 0] += np.einsum("eq,qc->ec", weights * stress[:, :, 2, 2] / r, rule)
     result = np.zeros(mesh.points.shape)
     np.add.at(result, cells, forces)
     return result
-
-
-def _stress(mesh: MeshArrays, materials: tuple[Elastic, ...], here: np.ndarray, strain: np.ndarray, most: float
-            ) -> np.ndarray:
-    """Stress tensors (n, n_points, 3, 3) of normal strains (n, n_points, 3) in the elements ``here`` of one body, whose
-    first Lame constant is cut off at ``most`` shear moduli."""
-    own, one = moduli(mesh, materials, most), materials[int(mesh.element_body[here[0]])]
-    if own is None:
-        mu = one.shear_modulus
-        stress = min(one.lame, most * mu) * strain.sum(axis=2, keepdims=True) + 2 * mu * strain
-        return stress[..., None] * np.eye(3)
-    stress = np.einsum("nij,nqj->nqi", own.table[own.rows[here], :, :3], strain)
-    return as_tensors(stress.reshape(-1, stress.shape[2])).reshape(*stress.shape[:2], 3, 3)
 
 
 def _check_components(mesh: MeshArrays, load: InitialStrain) -> None:
@@ -202,7 +186,7 @@ def _elements(mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
 def supported_stiffness(mesh: MeshArrays, material: Materials, supports: Sequence[AnySupport],
                         elements: str = "linear") -> sparse.bsr_array:
     """Return the stiffness of the bodies and of the springs that hold them, as :func:`adaptmg.discrete.stiffness`."""
-    matrix = smoothed_stiffness(mesh, material) if elements == "smoothed" else stiffness(mesh, material)
+    matrix = stiffness(mesh, material, elements)
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:
         rows = np.repeat(np.arange(mesh.n_nodes), np.diff(matrix.indptr))

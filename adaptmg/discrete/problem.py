@@ -38,7 +38,7 @@ from adaptmg.discrete.contact_nodes import (
     largest_entry,
 )
 from adaptmg.discrete.coordinates import Coupling, Unknowns, held_slaves
-from adaptmg.discrete.rigid_modes import rigid_body_modes
+from adaptmg.discrete.elasticity import rigid_body_modes
 from adaptmg.discrete.supports import Inclined
 from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import Law, check_law

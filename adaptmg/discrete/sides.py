@@ -23,7 +23,7 @@ from scipy import sparse
 
 from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Unknowns
-from adaptmg.discrete.elasticity import body_materials
+from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.mortar.interface import MortarInterface
 from adaptmg.discrete.mortar.pairs import pair_interface
 from adaptmg.discrete.supports import HeldNodes

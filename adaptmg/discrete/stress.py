@@ -1,20 +1,25 @@
-r"""Strain and stress, element by element, from a P1 displacement.
+r"""Strain and stress, element by element, from a P1 displacement; and continuous in each body.
 
-.. math:: \varepsilon = \tfrac12(\nabla u + \nabla u^T), \qquad
-   \sigma = \lambda\,\mathrm{tr}(\varepsilon - \varepsilon_0) I + 2\mu (\varepsilon - \varepsilon_0)
+.. math:: \varepsilon = \tfrac12(\nabla u + \nabla u^T), \qquad \sigma = C (\varepsilon - \varepsilon_0)
 
-with the initial strain :math:`\varepsilon_0`, if any, and the Lame constants as they enter the plane problem. Both are
+with the initial strain :math:`\varepsilon_0`, if any, and the tensors C of :mod:`adaptmg.discrete.moduli`. Both are
 constant on an element, but for the hoop strain :math:`u_r / r` of axisymmetric bodies, whose mean over the volume is
 taken: its value at the centroid, :math:`\int u_r \big/ \int r`. The strain energy is
 :math:`\tfrac12 \int \sigma : (\varepsilon - \varepsilon_0)`, by the quadrature of the stiffness matrix.
 
-Bodies of which one is anisotropic have the tensors of :mod:`adaptmg.discrete.anisotropic`.
-
 Smoothed elements have the stress that is in equilibrium, :math:`\sum_T V_T\, \sigma_T : \varepsilon_T(v) = b^T v`: by
-means around edges (S of :mod:`adaptmg.discrete.smoothed`), with the mean pressure p of the groups of their corners:
+means around edges (S of :mod:`adaptmg.discrete.elasticity`), with the mean pressure p of the groups of their corners
+(:mod:`adaptmg.discrete.volumes`): :math:`\sigma = C\,S(\varepsilon - \varepsilon_0) + p I`.
 
-.. math:: \sigma = \big(\lambda_1\, \mathrm{tr}\, S(\varepsilon - \varepsilon_0) + p\big) I
-   + 2\mu\, S(\varepsilon - \varepsilon_0) .
+Nodal values of what is constant on elements come from a linear fit around each node,
+
+.. math:: \sum_e \big|\sigma_e - a - B (x_e - x_i)\big|^2 \to \min, \qquad \sigma^*_i = a
+
+over the elements e around node i, with centroids :math:`x_e` (O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth.
+Engng 33, 1992, doi:10.1002/nme.1620330702). Patches of boundary nodes lie on one side, where a fit around the node is
+far less accurate (on the symmetry lines of a plate with a hole three times): a boundary node takes the mean of the
+fits of the inner nodes around it, at its place; one without such nodes, a corner, a fit to the patches of all nodes of
+its elements.
 """
 
 from __future__ import annotations
@@ -23,12 +28,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 
-from adaptmg._numba import kernel
-from adaptmg.discrete.anisotropic import Moduli, as_tensors, moduli
-from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants
+from adaptmg.discrete.elasticity import apart, element_measures, elements_of_nodes, pattern, shape_gradients, smoothed
 from adaptmg.discrete.loads import body_elements, mean_initial_strain
-from adaptmg.discrete.smoothed import EDGE_PART, edge_lame, element_measures, smoothed
+from adaptmg.discrete.moduli import (
+    EDGE_PART,
+    Materials,
+    Moduli,
+    as_tensors,
+    body_materials,
+    is_axisymmetric,
+    isotropic,
+    lame_constants,
+    moduli,
+)
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.loads import InitialStrain, Load, Preload
@@ -46,40 +60,8 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
 def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """Return the gradients d u_i / d x_j (n_elements, dim, dim)."""
-    result = np.zeros((len(mesh.elements), mesh.dim, mesh.dim))
-    _gradients(mesh.points, mesh.elements, _nodal(mesh, displacement), result)
-    return result
-
-
-@kernel
-def _gradients(points, elements, u, gradients):
-    """Add the gradients of linear displacements to ``gradients``."""
-    dim = points.shape[1]
-    edges, normals = np.empty((dim, dim)), np.empty((dim, dim))
-    for e in range(len(elements)):
-        first = elements[e, 0]
-        for k in range(dim):
-            for d in range(dim):
-                edges[k, d] = points[elements[e, k + 1], d] - points[first, d]
-        # the gradient of each corner's shape function, times the determinant of the edges
-        for k in range(dim):
-            a, b = (k + 1) % dim, (k + 2) % dim
-            if dim == 2:
-                normals[k, 0], normals[k, 1] = edges[a, 1], -edges[a, 0]
-            else:
-                for d in range(dim):
-                    i, j = (d + 1) % dim, (d + 2) % dim
-                    normals[k, d] = edges[a, i] * edges[b, j] - edges[a, j] * edges[b, i]
-        if dim == 2:
-            normals[1] *= -1.0
-        determinant = 0.0
-        for d in range(dim):
-            determinant += edges[0, d] * normals[0, d]
-        for k in range(dim):
-            for i in range(dim):
-                moved = (u[elements[e, k + 1], i] - u[first, i]) / determinant
-                for j in range(dim):
-                    gradients[e, i, j] += moved * normals[k, j]
+    slopes, _ = shape_gradients(mesh)
+    return np.einsum("nki,nkj->nij", _nodal(mesh, displacement)[mesh.elements], slopes)
 
 
 def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -115,14 +97,21 @@ class StressData:
                 for one in materials]
         strains = [load for load in loads if isinstance(load, InitialStrain)]
         initial = mean_initial_strain(mesh, strains, axisymmetric=is_axisymmetric(materials)) if strains else None
+        own = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
         return cls(*lame_constants(materials), np.array(kind, dtype=np.int8),
                    np.zeros((0, 3)) if initial is None else initial, elements == "smoothed",
-                   moduli=moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf))
+                   moduli=own if any(one.anisotropy for one in materials) else None)
 
     @property
     def axisymmetric(self) -> bool:
         """Whether x is the radius r, and y the axial coordinate z."""
         return bool((self.kind == _AXISYMMETRIC).any())
+
+    def of_elements(self, mesh: MeshArrays) -> Moduli:
+        """Return the tensors of the elements; of smoothed ones those that act on means around edges."""
+        if self.moduli is not None:
+            return self.moduli
+        return isotropic(self.lame, self.shear, self.kind == _THIN, mesh, EDGE_PART if self.smoothed else np.inf)
 
     def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Return the stress tensors (n_elements, 3, 3) as of :func:`full_stress`."""
@@ -131,50 +120,37 @@ class StressData:
     def strains(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Return strain tensors (n_elements, 3, 3) with initial strains, through the thickness and of the hoop, too."""
         strain, thin = self._elastic(mesh, displacement), (self.kind == _THIN)[mesh.element_body]
-        body, sheet = mesh.element_body[thin], strain[thin]
-        strain[thin, 2, 2] = (-self.lame[body] / (2 * self.shear[body]) * (sheet[:, 0, 0] + sheet[:, 1, 1])
-                              if self.moduli is None else self.moduli.stress(strain)[thin, 2])
+        if thin.any():
+            strain[thin, 2, 2] = self.of_elements(mesh).stress(strain)[thin, 2]
         if len(self.initial_strain):
             strain[:, np.arange(3), np.arange(3)] += self.initial_strain
         return strain
 
     def suppressed(self, mesh: MeshArrays) -> float:
         """Return the energy of stresses that suppress initial strains, N m; of plane bodies of those in the plane."""
-        body, dim = mesh.element_body, 3 if self.axisymmetric else mesh.dim
-        lame, shear, volume = self.lame[body, None], self.shear[body, None], element_measures(mesh, self.axisymmetric)
+        own, volume = self.of_elements(mesh), element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
-        strain[(self.kind == _THIN)[body], 2] = 0.0
-        if self.moduli is not None:
-            stress = self.moduli.stress(strain[:, :, None] * np.eye(3))
-            if plane := mesh.dim == 2 and not self.axisymmetric:
-                stress = stress[:, [0, 1, 3]]
-            # means around edges of what the tensors of bodies make
-            means = smoothed(mesh, stress, volume) if self.smoothed else stress
-            return float(volume @ self.moduli.work(stress, means, plane))
-        if self.smoothed:  # the rest is energy of volumes
-            lame = edge_lame(lame, shear)
-        stress = (lame * strain.sum(axis=1, keepdims=True) + 2 * shear * strain)[:, :dim]
-        # what strains in the plane alone are under this stress
-        elastic = (stress - lame / (dim * lame + 2 * shear) * stress.sum(axis=1, keepdims=True)) / (2 * shear)
-        if self.smoothed:
-            stress = smoothed(mesh, stress, volume)
-        return float(np.einsum("n,nd,nd->", volume, stress, elastic))
+        strain[(self.kind == _THIN)[mesh.element_body], 2] = 0.0
+        stress = own.stress(strain[:, :, None] * np.eye(3))
+        if plane := mesh.dim == 2 and not self.axisymmetric:
+            stress = stress[:, [0, 1, 3]]
+        # means around edges of what the tensors of bodies make
+        means = smoothed(mesh, stress, volume) if self.smoothed else stress
+        return float(volume @ own.work(stress, means, plane))
 
     def energy(self, mesh: MeshArrays, displacement: np.ndarray) -> float:
         """Return the strain energy, J (plane: J/m)."""
         elastic, u = self._elastic(mesh, displacement), _nodal(mesh, displacement)
-        if self.smoothed:
-            density = np.einsum("nij,nij->n", replace(self, pressure=None)._stress(mesh, elastic), elastic)
-            return 0.5 * float(element_measures(mesh, self.axisymmetric) @ density) + self.volume_energy
-        if not self.axisymmetric:
-            return 0.5 * float(np.einsum("n,nij,nij", mesh.volumes, self._stress(mesh, elastic), elastic))
-        total, (rule, weights) = 0.0, quadrature_rule(3, AXISYMMETRIC_DEGREE)
-        initial = self.initial_strain[:, 2] if len(self.initial_strain) else 0.0
-        for at, weight in zip(rule, weights, strict=True):
-            radius = mesh.points[mesh.elements, 0] @ at
-            elastic[:, 2, 2] = u[mesh.elements, 0] @ at / radius - initial
-            total += weight * np.einsum("n,nij,nij", radius * mesh.volumes, self._stress(mesh, elastic), elastic)
-        return float(np.pi * total)
+        stress, volumes = replace(self, pressure=None)._stress(mesh, elastic), element_measures(mesh, self.axisymmetric)
+        energy = 0.5 * float(np.einsum("n,nij,nij->", volumes, stress, elastic)) + self.volume_energy
+        if not self.axisymmetric or self.smoothed:
+            return energy
+        # what the hoop strain varies within elements adds
+        (rule, weights), hoop = quadrature_rule(3, AXISYMMETRIC_DEGREE), hoop_strain(mesh, u)
+        radii = mesh.points[mesh.elements, 0] @ rule.T
+        rise = u[mesh.elements, 0] @ rule.T / radii - hoop[:, None]
+        stiffness = self.of_elements(mesh).of_hoop()[:, 2] * mesh.volumes
+        return energy + np.pi * float(np.einsum("n,nq,q->", stiffness, radii * rise**2, weights))
 
     def _elastic(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Strain minus initial strain; of plane stress without the strain through the thickness."""
@@ -188,24 +164,17 @@ class StressData:
             strain[:, 2, 2] = hoop_strain(mesh, displacement)
         if len(self.initial_strain):
             strain[:, diagonal, diagonal] -= self.initial_strain
-        # a sheet strains freely through its thickness: its Lame constant accounts for that
+        # a sheet strains freely through its thickness: its tensors account for that
         strain[(self.kind == _THIN)[mesh.element_body], 2, 2] = 0.0
         return strain
 
     def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
-        body, diagonal, lame = mesh.element_body, np.arange(3), self.lame
         if self.smoothed:
-            volumes = element_measures(mesh, self.axisymmetric)
-            strain = smoothed(mesh, strain.reshape(-1, 9), volumes).reshape(strain.shape)
-            lame = edge_lame(lame, self.shear)
-        if self.moduli is None:
-            stress = 2 * self.shear[body][:, None, None] * strain
-            stress[:, diagonal, diagonal] += (lame[body] * np.trace(strain, axis1=1, axis2=2))[:, None]
-        else:
-            stress = as_tensors(self.moduli.stress(strain))
+            strain = smoothed(mesh, strain.reshape(-1, 9), element_measures(mesh, self.axisymmetric)).reshape(-1, 3, 3)
+        stress, diagonal = as_tensors(self.of_elements(mesh).stress(strain)), np.arange(3)
         if self.pressure is not None:
             stress[:, diagonal, diagonal] += self.pressure[:, None]
-        stress[(self.kind == _THIN)[body], 2, 2] = 0.0
+        stress[(self.kind == _THIN)[mesh.element_body], 2, 2] = 0.0
         return stress
 
 
@@ -263,3 +232,61 @@ def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> fl
         mesh.bodies.index(preload.body)].young
     volume = element_measures(mesh, is_axisymmetric(material))[elements].sum()
     return float(young * volume / np.ptp(mesh.points[mesh.elements[elements], preload.direction]))
+
+
+#: pivots below this part of the number of samples: these lie on a line, or in a plane
+_SINGULAR = 1e-5
+
+
+def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cells of :func:`~adaptmg.discrete.elasticity.apart`, and nodal values (n, n_values) of those
+    (n_elements, n_values) of elements."""
+    cells, points = apart(mesh)
+    corners, centroids = cells.shape[1], mesh.points[mesh.elements].mean(axis=1)
+    of_nodes = elements_of_nodes(cells, len(points))
+    around = sparse.csr_array((np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=of_nodes.shape[::-1])
+    indptr, _ = pattern(of_nodes, corners * np.arange(len(cells) + 1), cells.reshape(-1))
+    # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2); else there are more
+    others, count = np.diff(indptr) - 1, np.diff(around.indptr)
+    inner = np.flatnonzero(others == count if corners == 3 else 2 * others == count + 4)
+    fits, good = _fits(around[inner], points[inner], centroids, values)
+    inner, fits = inner[good], fits[good]
+    nodal, left = np.zeros((len(points), values.shape[1])), np.ones(len(points), dtype=bool)
+    nodal[inner], left[inner] = fits[:, 0], False
+    shared = sparse.coo_array(around[left] @ around[inner].T)
+    (row, fit), at = shared.coords, np.flatnonzero(left)
+    away = points[at[row]] - points[inner[fit]]
+    np.add.at(nodal, at[row], shared.data[:, None] * (fits[fit, 0] + np.einsum("nd,ndc->nc", away, fits[fit, 1:])))
+    weights = np.bincount(at[row], shared.data, len(points))
+    nodal[weights > 0] /= weights[weights > 0, None]
+    left &= weights == 0
+    nodal[left] = _fits(around[left] @ around.T @ around, points[left], centroids, values)[0][:, 0]
+    return cells, nodal
+
+
+def _fits(patches: sparse.csr_array, places: np.ndarray, centroids: np.ndarray, values: np.ndarray
+          ) -> tuple[np.ndarray, np.ndarray]:
+    """Fits a, B (n, dim + 1, n_values) around places (n, dim) and whether the patches (n, n_elements) determine them;
+    elsewhere a is the mean."""
+    first, rows = patches.indptr[:-1], np.repeat(np.arange(len(places)), np.diff(patches.indptr))
+    away = centroids[patches.indices] - places[rows]
+    size = np.maximum.reduceat(np.abs(away), first).max(axis=1)
+    terms = np.column_stack([np.ones(len(rows)), away / size[rows, None]])
+    (n, k), samples = (len(places), terms.shape[1]), values[patches.indices]
+    matrix, sides, good = np.empty((n, k, k)), np.empty((n, k, values.shape[1])), np.ones(n, dtype=bool)
+    for a in range(k):
+        sums = sparse.csr_array((terms[:, a], np.arange(len(terms)), patches.indptr), shape=(n, len(terms)))
+        matrix[:, a], sides[:, a] = sums @ terms, sums @ samples
+    means, limit = sides[:, 0] / matrix[:, 0, 0, None], _SINGULAR * matrix[:, 0, 0]
+    for a in range(k):
+        good &= matrix[:, a, a] > limit
+        matrix[~good, a, a] = 1.0
+        factor = matrix[:, a + 1:, a] / matrix[:, a, a, None]
+        matrix[:, a + 1:] -= factor[:, :, None] * matrix[:, a, None]
+        sides[:, a + 1:] -= factor[:, :, None] * sides[:, a, None]
+    for a in reversed(range(k)):
+        sides[:, a] -= np.einsum("nb,nbc->nc", matrix[:, a, a + 1:], sides[:, a + 1:])
+        sides[:, a] /= matrix[:, a, a, None]
+    sides[:, 1:] /= size[:, None, None]
+    sides[~good, 0] = means[~good]
+    return sides, good

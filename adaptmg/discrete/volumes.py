@@ -1,7 +1,7 @@
 r"""Volumes: mean volume strains over groups of nodes, which a nearly incompressible body keeps nearly at zero.
 
 Of a body whose first Lame constant :math:`\lambda` is more than four shear moduli, the smoothed stiffness K' has
-:math:`\lambda_1 = 4\mu` (:mod:`adaptmg.discrete.smoothed`); the rest acts on the mean divergence b_a u of groups of
+:math:`\lambda_1 = 4\mu` (:mod:`adaptmg.discrete.elasticity`); the rest acts on the mean divergence b_a u of groups of
 nodes, with the volume A_a,
 
 .. math:: K = K' + \sum_a A_a\,\kappa\, b_a b_a^T,\qquad \kappa = \lambda - \lambda_1,\qquad
@@ -25,10 +25,9 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from adaptmg._numba import kernel
-from adaptmg.discrete.elasticity import Materials, body_materials, is_axisymmetric, lame_constants, node_pattern
-from adaptmg.discrete.recovery import apart
-from adaptmg.discrete.smoothed import edge_lame, element_measures, shape_gradients
+from adaptmg._numba import kernel, read_only
+from adaptmg.discrete.elasticity import apart, element_measures, elements_of_nodes, pattern, shape_gradients
+from adaptmg.discrete.moduli import EDGE_PART, Materials, body_materials, is_axisymmetric, lame_constants
 from adaptmg.geometry.search import morton_order
 from adaptmg.mesh.arrays import MeshArrays
 
@@ -108,25 +107,25 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     """Return the groups of all bodies that are nearly incompressible; None if there are none."""
     materials, dim = body_materials(mesh, material), mesh.dim
     lame, shear = lame_constants(materials)
-    kappa = np.where([one.anisotropy is None for one in materials], lame - edge_lame(lame, shear), 0.0)
+    edge = np.minimum(lame, EDGE_PART * shear)
+    kappa = np.where([one.anisotropy is None for one in materials], lame - edge, 0.0)
     # a ratio of .4 has a kappa of rounding
     soft = (kappa > _NONE * shear)[mesh.element_body]
     if not soft.any():
         return None
     # a node of two bodies has a group in each
     cells, points = apart(mesh)
-    elements, cells, body = mesh.elements[soft], cells[soft], mesh.element_body[soft]
-    used = np.zeros(len(points), dtype=bool)
-    used[cells] = True
-    cells, points, n = (np.cumsum(used, dtype=np.int32) - np.int32(1))[cells], points[used], int(used.sum())
+    elements, body = mesh.elements[soft], mesh.element_body[soft]
+    used, cells = np.unique(cells[soft], return_inverse=True)
+    cells, points, n = cells.reshape(elements.shape).astype(np.int32), points[used], len(used)
     node, body_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     node[cells], body_of[cells] = elements, body[:, None]
-    indptr, indices, *_ = node_pattern(cells, n)
+    ends = (dim + 1) * np.arange(len(cells) + 1)
+    indptr, indices = pattern(elements_of_nodes(cells, n), ends, read_only(cells.reshape(-1)))
     order, rank, group = morton_order(points), np.empty(n, dtype=np.int64), np.full(n, -1, dtype=np.int32)
     rank[order] = np.arange(n)
     count = gather(order, rank, indptr, indices, GROUP[dim], group)
-    slopes, part = np.empty((*cells.shape, dim)), np.empty(len(cells))
-    shape_gradients(0, len(cells), mesh.points, elements, slopes, part)
+    slopes, part = (every[soft] for every in shape_gradients(mesh))
     if is_axisymmetric(materials):
         radius = mesh.points[elements, 0].mean(axis=1)
         part *= 2 * np.pi * radius
@@ -134,7 +133,7 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     part /= dim + 1
     shares = np.bincount(cells.reshape(-1), np.repeat(part, dim + 1))
     areas = np.bincount(group, shares, minlength=count)
-    ends, dofs = (dim + 1) * np.arange(len(cells) + 1), dim * elements[:, :, None] + np.arange(dim)
+    dofs = dim * elements[:, :, None] + np.arange(dim)
     members = sparse.csr_array((np.ones(cells.size), group[cells].reshape(-1), ends), shape=(len(cells), count))
     strains = sparse.csr_array(((part[:, None, None] * slopes).reshape(-1), dofs.reshape(-1), dim * ends),
                                shape=(len(cells), dim * mesh.n_nodes))
@@ -143,7 +142,7 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     means = sparse.csr_array((shares / areas[group], (group, node)), shape=(count, mesh.n_nodes))
     owner, corners = np.empty(count, dtype=np.int64), np.full(mesh.elements.shape, -1, dtype=np.int32)
     owner[group], corners[soft] = body_of, group[cells]
-    return Volumes(rows, means, areas, 1 / kappa[owner], (edge_lame(lame, shear) + shear)[owner], owner, corners)
+    return Volumes(rows, means, areas, 1 / kappa[owner], (edge + shear)[owner], owner, corners)
 
 
 @kernel

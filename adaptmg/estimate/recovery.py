@@ -3,7 +3,7 @@ r"""Recovery: an estimate of the energy error by a smoother stress (Zienkiewicz 
 .. math:: \eta_E^2 = \int_E (\sigma^* - \sigma_h) : C^{-1} (\sigma^* - \sigma_h)
 
 with a stress :math:`\sigma^*` that is continuous and piecewise linear in each body: it may jump where materials meet
-and between bodies in contact (:mod:`adaptmg.discrete.recovery`). Where the solution is smooth the estimate tends to the
+and between bodies in contact (:mod:`adaptmg.discrete.stress`). Where the solution is smooth the estimate tends to the
 error itself; it does not depend on loads and contact conditions. Of smoothed elements, the error is that of the stress
 of :meth:`adaptmg.Result.stress`.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from adaptmg._numba import kernel
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.recovery import recovered
+from adaptmg.discrete.stress import recovered
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.stress_fields import ElementStress, posed
 from adaptmg.geometry.quadrature import integration

@@ -24,10 +24,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel
-from adaptmg.discrete.recovery import elements_of_nodes
+from adaptmg.discrete.elasticity import elements_of_nodes
 from adaptmg.estimate.estimate import Estimate, estimate_for
 from adaptmg.geometry.location import SimplexLocator
 from adaptmg.level import meshed_domain, need_domain
@@ -224,11 +225,12 @@ def _constant(excess: Callable[[float], float], low: float, high: float, dim: in
 
 
 def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float,
-                 at_nodes: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
+                 at_nodes: sparse.csc_array | None = None) -> np.ndarray:
     """Return the largest sizes below these that grow by at most ``growth`` per distance along edges."""
     result, waiting = np.array(sizes, dtype=np.float64), np.ones(len(sizes), dtype=np.bool_)
-    start, items = elements_of_nodes(mesh.elements, mesh.n_nodes) if at_nodes is None else at_nodes
-    _relax(mesh.points, mesh.elements, start, items, float(growth), result, np.argsort(result), waiting)
+    at_nodes = elements_of_nodes(mesh.elements, mesh.n_nodes) if at_nodes is None else at_nodes
+    _relax(mesh.points, mesh.elements, at_nodes.indptr, at_nodes.indices, float(growth), result, np.argsort(result),
+           waiting)
     return result
 
 

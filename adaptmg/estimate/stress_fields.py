@@ -24,8 +24,8 @@ from functools import cached_property
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.elasticity import body_materials
 from adaptmg.discrete.loads import load_vector
+from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.hierarchy import Hierarchy
@@ -70,9 +70,7 @@ class ElementStress:
         """Stresses rr, zz, hoop, rz (n_elements, 4) of a hoop strain of 1, Pa, which varies within linear elements."""
         if self.data.smoothed:
             return np.zeros((len(self.mesh.elements), 4))
-        if self.data.moduli is not None:
-            return self.data.moduli.of_hoop()
-        return np.column_stack([self.lame, self.lame, self.lame + 2 * self.shear, np.zeros(len(self.lame))])
+        return self.data.of_elements(self.mesh).of_hoop()
 
     @cached_property
     def shear(self) -> np.ndarray:

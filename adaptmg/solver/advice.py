@@ -14,7 +14,7 @@ from contextvars import ContextVar
 import numpy as np
 
 from adaptmg._text import warn_user
-from adaptmg.discrete.elasticity import body_materials
+from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.sides import STIFFER, stiffness_ratio
 from adaptmg.discrete.stress import element_strain, hoop_strain
 from adaptmg.mesh.arrays import MeshArrays

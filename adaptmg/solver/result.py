@@ -16,8 +16,8 @@ from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
 from adaptmg._on_demand import ABSENT, made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
-from adaptmg.discrete.anisotropic import Moduli, as_tensors
 from adaptmg.discrete.loads import moment
+from adaptmg.discrete.moduli import Moduli, as_tensors
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.sides import TieForces
 from adaptmg.discrete.stress import StressData, von_mises
@@ -386,7 +386,7 @@ class Result:
 
     def _values(self, tensors: np.ndarray, at: str | ArrayLike, recovered: bool) -> np.ndarray:
         """Tensors (n_elements, 3, 3) as columns where they are asked for."""
-        from adaptmg.discrete.recovery import recovered as fit
+        from adaptmg.discrete.stress import recovered as fit
 
         values = tensors[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
         location = None if isinstance(at, str) else self._located(at)

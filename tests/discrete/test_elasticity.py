@@ -10,8 +10,8 @@ from refused import refused
 from scipy import sparse
 
 from adaptmg.discrete import element_strain, fixed_dofs, full_stress, load_vector, stiffness, von_mises
+from adaptmg.discrete.elasticity import rigid_motions
 from adaptmg.discrete.loads import supported_stiffness
-from adaptmg.discrete.rigid_modes import rigid_motions
 from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh import MeshArrays, structured

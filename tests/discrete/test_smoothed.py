@@ -11,9 +11,8 @@ from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg._threads import set_threads
-from adaptmg.discrete import elasticity, load_vector, smoothed, stiffness
-from adaptmg.discrete.elasticity import body_materials
-from adaptmg.discrete.smoothed import smoothed_stiffness
+from adaptmg.discrete import elasticity, load_vector, stiffness
+from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate.reference_error import Reference
 from adaptmg.mesh import MeshArrays
@@ -62,7 +61,7 @@ def by_edges(mesh: MeshArrays, materials) -> np.ndarray:
 @EACH_KIND
 def test_the_matrix_is_the_sum_over_edges_of_each_body_in_sorted_symmetric_blocks(kind):
     mesh, materials = MESHES[kind.dim], two(kind)
-    matrix = smoothed_stiffness(mesh, materials)
+    matrix = stiffness(mesh, materials, "smoothed")
     expected = by_edges(mesh, materials)
     np.testing.assert_allclose(matrix.toarray(), expected, rtol=0, atol=1e-14 * np.abs(expected).max())
     assert matrix.has_sorted_indices and matrix.indices.dtype == np.int32
@@ -72,16 +71,16 @@ def test_the_matrix_is_the_sum_over_edges_of_each_body_in_sorted_symmetric_block
 @EACH_KIND
 def test_the_kernels_compute_the_same_uncompiled_and_in_parts(kind, monkeypatch):
     mesh, materials = MESHES[kind.dim], two(kind)
-    compiled = smoothed_stiffness(mesh, materials)
+    compiled = stiffness(mesh, materials, "smoothed")
     monkeypatch.setattr("adaptmg._threads.LARGE", 1)
     set_threads(2)
     try:
-        parts = smoothed_stiffness(mesh, materials)
+        parts = stiffness(mesh, materials, "smoothed")
     finally:
         set_threads(1)
     np.testing.assert_array_equal(parts.data, compiled.data)
-    uncompile(monkeypatch, smoothed, elasticity)
-    np.testing.assert_allclose(smoothed_stiffness(mesh, materials).data, compiled.data, rtol=1e-13, atol=1e-3)
+    uncompile(monkeypatch, elasticity)
+    np.testing.assert_allclose(stiffness(mesh, materials, "smoothed").data, compiled.data, rtol=1e-13, atol=1e-3)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -91,7 +90,7 @@ def test_strains_that_jump_between_glued_materials_are_exact(dim):
     x, exact = mesh.points[:, 0], np.zeros(mesh.points.shape)
     exact[:, 0] = np.where(x < 1.0, x / left, 1.0 / left + (x - 1.0) / right)
     held = np.isin(np.arange(mesh.n_nodes), mesh.facets).repeat(dim)
-    matrix, u = smoothed_stiffness(mesh, materials).toarray(), exact.reshape(-1) * held
+    matrix, u = stiffness(mesh, materials, "smoothed").toarray(), exact.reshape(-1) * held
     u[~held] = np.linalg.solve(matrix[np.ix_(~held, ~held)], -(matrix @ u)[~held])
     np.testing.assert_allclose(u.reshape(exact.shape), exact, rtol=0, atol=1e-13 * exact.max())
 
@@ -103,7 +102,7 @@ def test_energy_matrix_and_loads_of_initial_strains_belong_together(kind):
     strains = [InitialStrain(body, (lambda x: 1e-3 * np.sin(3 * x[:, 0]), 2e-3, lambda x: 1e-3 * x[:, 1]))
                for body in mesh.bodies]
     u, still = 1e-3 * rng.normal(size=mesh.points.size), np.zeros(mesh.points.size)
-    matrix, load = smoothed_stiffness(mesh, materials), load_vector(mesh, strains, materials, "smoothed")
+    matrix, load = stiffness(mesh, materials, "smoothed"), load_vector(mesh, strains, materials, "smoothed")
     data = StressData.of(mesh, materials, strains, "smoothed")
     assert data.energy(mesh, u) - data.energy(mesh, still) == pytest.approx(u @ (matrix @ u) / 2 - load @ u, rel=1e-11)
     if kind is not am.PlaneStrain:
@@ -118,13 +117,13 @@ def test_the_stress_of_elements_is_in_equilibrium_and_smoother_than_that_of_thei
     strains = [InitialStrain("left", (lambda x: 1e-3 * x[:, 0], 2e-3, 1e-3))]
     u, v = 1e-3 * rng.normal(size=(2, mesh.points.size))
     data = StressData.of(mesh, materials, strains, "smoothed")
-    volumes = smoothed.element_measures(mesh, data.axisymmetric)
+    volumes = elasticity.element_measures(mesh, data.axisymmetric)
     virtual = StressData.of(mesh, materials).strains(mesh, v)
     if kind is am.PlaneStress:  # no work
         virtual[:, 2, 2] = 0.0
     work = np.einsum("n,nij,nij", volumes, data.tensors(mesh, u), virtual)
     load = load_vector(mesh, strains, materials, "smoothed")
-    assert work == pytest.approx(v @ (smoothed_stiffness(mesh, materials) @ u - load), rel=1e-10)
+    assert work == pytest.approx(v @ (stiffness(mesh, materials, "smoothed") @ u - load), rel=1e-10)
     # pressures of groups add theirs
     more = replace(data, pressure=rng.normal(size=len(volumes))).tensors(mesh, u) - data.tensors(mesh, u)
     assert (np.abs(more[:, 2, 2]).max() == 0) == (kind is am.PlaneStress)
@@ -134,7 +133,7 @@ def test_a_problem_has_its_elements_on_all_levels_and_in_all_that_follows_from_i
     problem = replace(am.cases.greco_bar(), elements="smoothed")
     grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
     for level in grids.levels:
-        np.testing.assert_array_equal(level.matrix.data, smoothed_stiffness(level.mesh, problem.material).data)
+        np.testing.assert_array_equal(level.matrix.data, stiffness(level.mesh, problem.material, "smoothed").data)
     result = am.solve(grids)
     assert result.energy == pytest.approx(result.checked.energy_norm**2 / 2, rel=1e-6)
     linear = grids.with_problem(replace(problem, elements="linear"))
@@ -156,7 +155,7 @@ def test_estimates_follow_the_error_of_the_stress(kind, poisson):
     result, better = am.solve(coarse), am.solve(fine)
     at = better.mesh.points[better.mesh.elements].mean(axis=1)
     error = energy_of(result.stress(at) - better.stress(recovered=True), problem.material)
-    true = np.sqrt(smoothed.element_measures(better.mesh, kind is am.Axisymmetric) @ error)
+    true = np.sqrt(elasticity.element_measures(better.mesh, kind is am.Axisymmetric) @ error)
     for indicator, low, high in ((am.Recovery(), 0.75, 1.1), (am.Residual(), 2.0, 4.5)):
         assert low < indicator.indicate(coarse, result).total / true < high
 

@@ -10,7 +10,7 @@ from simplex_meshes import random_box
 from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.discrete import recovery as fit
+from adaptmg.discrete import stress as fit
 from adaptmg.discrete.elasticity import stiffness
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate import recovery as module

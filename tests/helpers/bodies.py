@@ -8,7 +8,7 @@ from saddle import Parts, held_alike
 from scipy.spatial.transform import Rotation
 
 import adaptmg as am
-from adaptmg.discrete.rigid_modes import rigid_motions
+from adaptmg.discrete.elasticity import rigid_motions
 from adaptmg.mesh import graded, merged, structured
 from adaptmg.mesh.arrays import MeshArrays
 

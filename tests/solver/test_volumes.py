@@ -12,7 +12,7 @@ from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.cases.closed_forms import quarter_cylinder
-from adaptmg.discrete import elasticity, smoothed, volumes
+from adaptmg.discrete import elasticity, volumes
 from adaptmg.discrete.volumes import GROUP, Volumes, volume_groups
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
@@ -88,7 +88,7 @@ def test_groups_do_not_depend_on_the_numbers_of_nodes(dim):
 
 def test_the_kernel_groups_the_same_uncompiled(monkeypatch):
     expected = volume_groups(glued(2), three(am.PlaneStrain))
-    uncompile(monkeypatch, elasticity, smoothed, volumes)
+    uncompile(monkeypatch, elasticity, volumes)
     found = volume_groups(glued(2), three(am.PlaneStrain))
     assert np.array_equal(found.corners, expected.corners)
 
