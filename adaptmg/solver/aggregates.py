@@ -3,19 +3,33 @@ r"""Aggregates: groups of neighbouring nodes whose rigid motions represent what 
 They follow the graph of the matrix, not space: two arms that nearly touch share none, nor do two bodies, nor the slave
 nodes (whose displacement is relative) and the rest. With B the rigid motions of each aggregate about its centre, each
 node projected onto what a contact status lets move, the coarse matrix is :math:`B^T (A + S) B`.
+
+Where the status of a displacement is wrong, what is missing in the space of that status says little: a beam whose tip
+should touch, a body that hovers. The change d is then sought in the span of P, the motions B smoothed by one step of
+damped Jacobi, under the conditions of all contact nodes. With the residual r of the displacement, gaps g, slips
+:math:`\tau`, pressures p, friction :math:`-q` and its bound
+
+.. math:: P^T(A P c + N^T p + T^T q - r) = 0,\quad 0 \le p \perp g - N P c \ge 0,\quad |q| \le s + \mu p,
+
+and q along the slip :math:`\tau + T P c`. The unknowns that reach no contact node are eliminated, and
+:mod:`adaptmg.smoother.interior_point` solves the rest. That module is the only one shared with the solvers: what it
+finds is measured on the matrix afterwards, so that no fault in it can make an error small.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
-from scipy import sparse
-from scipy.linalg.lapack import dpbtrf, dpbtrs
+from scipy import linalg, sparse
 from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy.sparse.linalg import splu
 
 from adaptmg._numba import kernel
-from adaptmg._threads import in_parts
+from adaptmg.discrete.coordinates import frames_of, from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.smoother.blocks import ZERO, add, in_loop, increase, inner, read, scale, subtract, times, write
+from adaptmg.smoother.interior_point import Conditions, dense_factors, interior_point
 
 #: nodes of an aggregate and its depth in the graph, by dimension
 _SIZE = {2: (64, 4), 3: (80, 3)}
@@ -24,10 +38,10 @@ _SIZE = {2: (64, 4), 3: (80, 3)}
 _MANY, _LARGE, _MOST = {2: 40_000, 3: 24_000}, 100, {2: 1800, 3: 300}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
-#: neighbours of an aggregate for which there is room at first
-_ROOM = 16
 #: of the diagonal, added to it: a status may take motions from an aggregate
 _SHIFT = 1e-10
+#: what may be missing in the conditions of a changed status
+_ENOUGH = 1e-4
 
 
 @kernel
@@ -55,92 +69,23 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
     return count
 
 
-@kernel
-def _join(indptr, indices, group, sizes, remnant, label, members, of, best):
-    """Remnants join their smallest neighbour; returns the number of aggregates left, numbered again. ``members``,
-    ``of`` and ``best`` (n_aggregates,) come as 0, 0 and -1."""
-    n, count = len(label), len(best)
-    for i in range(n):
-        if label[i] >= 0:
-            members[label[i]] += 1
-            of[label[i]] = group[i]
-    for i in range(n):
-        if label[i] < 0 or remnant * members[label[i]] >= sizes[group[i]]:
-            continue
-        for p in range(indptr[i], indptr[i + 1]):
-            other = label[indices[p]]
-            if other < 0 or other == label[i] or of[other] != group[i]:
-                continue
-            if remnant * members[other] >= sizes[group[i]] and (
-                    best[label[i]] < 0 or members[other] < members[best[label[i]]]):
-                best[label[i]] = other
-    left = 0
-    for a in range(count):
-        if best[a] < 0:
-            of[a] = left
-            left += 1
-    for i in range(n):
-        if label[i] >= 0:
-            home = best[label[i]]
-            label[i] = of[home] if home >= 0 else of[label[i]]
-    return left
-
-
-@kernel
-def _arrange(label, points, count, order, starts, ends, offset):
-    """Nodes by aggregate, and their places from its centre over its extent (root of the mean square). ``starts``
-    (count + 1,) comes as 0; ``ends`` (count,) is overwritten."""
-    for i in range(len(label)):
-        if label[i] >= 0:
-            starts[label[i] + 1] += 1
-    for a in range(count):
-        starts[a + 1] += starts[a]
-        ends[a] = starts[a]
-    for i in range(len(label)):
-        if label[i] >= 0:
-            order[ends[label[i]]] = i
-            ends[label[i]] += 1
-    if len(points) == 0:
-        return
-    for a in range(count):
-        begin, end, square = starts[a], starts[a + 1], 0.0
-        for k in range(points.shape[1]):
-            centre = 0.0
-            for place in range(begin, end):
-                centre += points[order[place], k]
-            centre /= end - begin
-            for place in range(begin, end):
-                i = order[place]
-                offset[i, k] = points[i, k] - centre
-                square += offset[i, k] ** 2
-        extent = np.sqrt(square / (end - begin))
-        if extent > 0:
-            for place in range(begin, end):
-                for k in range(points.shape[1]):
-                    offset[order[place], k] /= extent
-
-
-@kernel
-def _pattern(indptr, indices, label, order, starts, coarse_indptr, seen, coarse_indices):
-    """Aggregates J met from rows i <= j of each aggregate I, as rows of a matrix; returns their number, which may be
-    more than ``coarse_indices`` holds. ``seen`` (n_aggregates,) comes as -1."""
-    count = 0
-    for a in range(len(starts) - 1):
-        seen[a] = a
-        if count < len(coarse_indices):
-            coarse_indices[count] = a
-        count += 1
-        for q in range(starts[a], starts[a + 1]):
-            i = order[q]
-            for p in range(indptr[i], indptr[i + 1]):
-                b = label[indices[p]]
-                if indices[p] > i and b >= 0 and seen[b] != a:
-                    seen[b] = a
-                    if count < len(coarse_indices):
-                        coarse_indices[count] = b
-                    count += 1
-        coarse_indptr[a + 1] = count
-    return count
+def _joined(matrix: sparse.bsr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """The labels after small remnants have joined the smallest neighbour of their group."""
+    inside = label >= 0
+    members, of = np.bincount(label[inside]), np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
+    of[label[inside]] = group[inside]
+    remnant = _REMNANT * members < sizes[of]
+    graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=np.int8), matrix.indices, matrix.indptr))
+    nodes = np.flatnonzero(inside & remnant[label])
+    edges = graph[nodes].tocoo()
+    own, other = label[nodes[edges.row]], label[edges.col]
+    joins = (other >= 0) & ~remnant[other] & (of[own] == of[other])
+    own, other = own[joins], other[joins]
+    order = np.argsort(-members[other], kind="stable")  # of several values the last one stays
+    home = np.arange(len(members))
+    home[own[order]] = other[order]
+    number = np.cumsum(home == np.arange(len(home))) - 1
+    return np.where(inside, number[home[label]], -1)
 
 
 class Aggregates:
@@ -154,216 +99,87 @@ class Aggregates:
         bodies = int(group.max()) + 1
         if problem.coupling is not None:
             group[problem.contact.nodes] += bodies
-        group[np.logical_and.reduce([problem.fixed[k::dim] for k in range(dim)])] = -1
+        group[problem.fixed.reshape(-1, dim).all(axis=1)] = -1
         size, depth = _SIZE[dim]
         if n > _MANY[dim]:
             size = max(_LARGE, n // _MOST[dim])
             depth = round(0.9 * size ** (1 / dim))
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
-        self.label = np.full(n, -1, dtype=np.int32)
-        count = _grow(matrix.indptr, matrix.indices, group, sizes, depth, self.label,
-                      *np.empty((2, n), dtype=np.int32))
-        count = _join(matrix.indptr, matrix.indices, group, sizes, _REMNANT, self.label,
-                      np.zeros(count, dtype=np.int32), np.zeros(count, dtype=np.int32), np.full(count, -1))
-        self.order, self.starts = np.empty(n, dtype=np.int32), np.zeros(count + 1, dtype=np.int32)
-        self.offset = np.zeros((n, dim))
-        points = np.empty((0, dim)) if problem.coordinates is None else problem.coordinates
-        _arrange(self.label, points, count, self.order, self.starts, np.empty(count, dtype=np.int32), self.offset)
-        self.indptr = np.zeros(count + 1, dtype=np.int32)
-        given = matrix.indptr, matrix.indices, self.label, self.order, self.starts, self.indptr
-        self.indices = np.empty(_ROOM * count, dtype=np.int32)
-        while (found := _pattern(*given, np.full(count, -1), self.indices)) > len(self.indices):
-            self.indices = np.empty(found, dtype=np.int32)
-        self.indices = self.indices[:found].copy()
-        self._number_entries(count, 3 * dim - 3)
+        label = np.full(n, -1, dtype=np.int32)
+        _grow(matrix.indptr, matrix.indices, group, sizes, depth, label, *np.empty((2, n), dtype=np.int32))
+        label = _joined(matrix, label, group, sizes)
+        inside = label >= 0
+        self.label, self.count = label[inside], label.max(initial=-1) + 1
+        self.starts = np.append(0, np.cumsum(inside))  # of the rows of the basis
+        self.diagonal = np.flatnonzero(matrix.indices == np.repeat(np.arange(n), np.diff(matrix.indptr)))  # blocks
+        self.motions = self._rigid(np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside)
 
-    def _number_entries(self, count: int, modes: int) -> None:
-        """Order the unknowns so that the coarse matrix has a narrow band, and number the entries in it."""
-        graph = sparse.csr_array((np.ones(len(self.indices), dtype=np.int8), self.indices, self.indptr),
-                                 shape=(count, count))
-        order = reverse_cuthill_mckee(graph) if count else np.empty(0, dtype=np.int32)
-        place = np.empty(count, dtype=np.int64)
-        place[order] = modes * np.arange(count)
-        within = np.arange(modes)
-        self.unknowns = (modes * order.astype(np.int64)[:, None] + within).reshape(-1)
-        row = place[np.repeat(np.arange(count), np.diff(self.indptr))][:, None, None] + within[:, None]
-        column = place[self.indices][:, None, None] + within
-        below = np.abs(row - column)
-        self.band = int(below.max(initial=0)) + 1
-        # column by column, as LAPACK has it
-        self.entries = (below + self.band * np.minimum(row, column)).reshape(-1)
+    def _rigid(self, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
+        """Rigid motions (n, dim, modes): translations, and turns about the centre over the extent of an aggregate (root
+        of the mean square)."""
+        dim, members = points.shape[1], np.bincount(self.label, minlength=self.count)
+        centres = np.stack([np.bincount(self.label, x, self.count) / members for x in points[inside].T], axis=1)
+        offset = points[inside] - centres[self.label]
+        extent = np.sqrt(np.bincount(self.label, np.einsum("nd,nd->n", offset, offset), self.count) / members)
+        offset /= np.where(extent > 0, extent, 1.0)[self.label, None]
+        motions = np.zeros((len(offset), dim, 3 * dim - 3))
+        motions[:, range(dim), range(dim)] = 1.0
+        for k, (a, b) in enumerate([(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)], dim):
+            motions[:, a, k], motions[:, b, k] = -offset[:, b], offset[:, a]
+        return motions
+
+    def basis(self, nodes: np.ndarray, kept: np.ndarray) -> sparse.bsr_array:
+        """Return the motions of the aggregates as columns, at some nodes projected by ``kept`` (n, dim, dim)."""
+        motions, row = self.motions.copy(), self.starts[nodes]
+        inside = self.starts[nodes + 1] > row
+        motions[row[inside]] = kept[inside] @ motions[row[inside]]
+        _, dim, modes = motions.shape
+        return sparse.bsr_array((motions, self.label, self.starts),
+                                shape=(dim * (len(self.starts) - 1), modes * self.count))
 
 
 aggregates_of = remembered_of_structure(Aggregates)
 
 
-@in_loop
-def _motion(q, x):
-    """Rigid motion q at a place: translations, then rotations."""
-    if len(x) == 2:
-        if q == 0:
-            return 1.0, 0.0
-        if q == 1:
-            return 0.0, 1.0
-        return -x[1], x[0]
-    if q == 0:
-        return 1.0, 0.0, 0.0
-    if q == 1:
-        return 0.0, 1.0, 0.0
-    if q == 2:
-        return 0.0, 0.0, 1.0
-    if q == 3:
-        return 0.0, -x[2], x[1]
-    if q == 4:
-        return x[2], 0.0, -x[0]
-    return -x[1], x[0], 0.0
+class CoarseSolve:
+    """B'(A + S)B of a contact status, factorised; S are blocks (n, dim, dim) at some nodes."""
+
+    def __init__(self, matrix: sparse.bsr_array, basis: sparse.bsr_array, nodes: np.ndarray, stiffening: np.ndarray
+                 ) -> None:
+        self._basis, self._transposed = basis, basis.T
+        coarse = self._transposed @ (matrix @ basis)
+        if stiffening.any():
+            coarse = coarse + self._transposed @ (at_nodes(nodes, stiffening, basis.shape[0]) @ basis)
+        coarse = sparse.coo_array(coarse)
+        # a narrow band
+        self._order = reverse_cuthill_mckee(sparse.csr_array(coarse), symmetric_mode=True)
+        place = np.argsort(self._order)
+        row, column = place[coarse.row], place[coarse.col]
+        lower = row >= column
+        below = (row - column)[lower]
+        band = np.zeros((below.max(initial=0) + 1, len(place)))
+        band[below, column[lower]] = coarse.data[lower]
+        band[0] += raised(band[0])
+        try:
+            self._factor = linalg.cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+        except linalg.LinAlgError:
+            self._factor = None  # a motion that nothing holds: the sweeps alone precondition too
+
+    def __call__(self, residual: np.ndarray) -> np.ndarray:
+        """Return the coarse correction (n_dofs,) of a residual."""
+        if self._factor is None:
+            return np.zeros_like(residual)
+        sums = (self._transposed @ residual)[self._order]
+        values = np.empty_like(sums)
+        values[self._order] = linalg.cho_solve_banded((self._factor, True), sums, check_finite=False)
+        return self._basis @ values
 
 
-@in_loop
-def _moved(q, i, zero, offset, held, kept):
-    """Motion q of the aggregate of node i there, projected."""
-    dim = np.uint64(len(zero))
-    v = _motion(q, read(offset, dim * np.uint64(i), zero))
-    if held[i] >= 0:
-        return times(kept, dim * dim * np.uint64(held[i]), v)
-    return v
-
-
-@in_loop
-def _column(blocks, at, like):
-    """A column of a block, from the position of its first entry on."""
-    dim = np.uint64(len(like))
-    if len(like) == 2:
-        return blocks[at], blocks[at + dim]
-    return blocks[at], blocks[at + dim], blocks[at + dim + dim]
-
-
-@in_loop
-def _across(y, v, z, w):
-    return subtract(scale(y, v), scale(z, w))
-
-
-@in_loop
-def _add_forces(blocks, at, i, zero, offset, held, kept, forces):
-    """Forces (modes x dim) += the block at a position times the motions of the aggregate of node i there."""
-    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
-    x = read(offset, dim * np.uint64(i), zero)
-    if held[i] >= 0:
-        for q in range(modes):
-            increase(forces, dim * np.uint64(q), times(blocks, at, _moved(q, i, zero, offset, held, kept)))
-        return
-    first, second = _column(blocks, at, zero), _column(blocks, at + np.uint64(1), zero)
-    increase(forces, np.uint64(0), first)
-    increase(forces, dim, second)
-    if len(zero) == 2:
-        increase(forces, np.uint64(4), _across(x[0], second, x[1], first))
-    else:
-        third = _column(blocks, at + np.uint64(2), zero)
-        increase(forces, np.uint64(6), third)
-        increase(forces, np.uint64(9), _across(x[1], third, x[2], second))
-        increase(forces, np.uint64(12), _across(x[2], first, x[0], third))
-        increase(forces, np.uint64(15), _across(x[0], second, x[1], first))
-
-
-@in_loop
-def _collect(forces, i, zero, offset, held, kept, coarse):
-    """Coarse (modes, modes) += the work of forces at node i by the motions of its aggregate; forces become zero."""
-    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
-    x = read(offset, dim * np.uint64(i), zero)
-    for q in range(modes):
-        f = read(forces, dim * np.uint64(q), zero)
-        write(forces, dim * np.uint64(q), zero)
-        if held[i] >= 0:
-            for k in range(modes):
-                coarse[k, q] += inner(_moved(k, i, zero, offset, held, kept), f)
-            continue
-        coarse[0, q] += f[0]
-        coarse[1, q] += f[1]
-        if len(zero) == 2:
-            coarse[2, q] += x[0] * f[1] - x[1] * f[0]
-        else:
-            coarse[2, q] += f[2]
-            coarse[3, q] += x[1] * f[2] - x[2] * f[1]
-            coarse[4, q] += x[2] * f[0] - x[0] * f[2]
-            coarse[5, q] += x[0] * f[1] - x[1] * f[0]
-
-
-@kernel
-def _galerkin(first, last, zero, indptr, indices, data, diagonal, held, kept, offset, label, order, starts,
-              coarse_indptr, coarse_indices, coarse):
-    """coarse += half of B' (A + S) B: the other half is its transpose. ``diagonal`` are the blocks of A + S."""
-    size, modes = np.uint64(len(zero) * len(zero)), 3 * len(zero) - 3
-    slot, forces = np.empty(len(starts) - 1, dtype=np.int32), np.zeros(modes * len(zero))
-    for a in range(first, last):
-        for s in range(coarse_indptr[a], coarse_indptr[a + 1]):
-            slot[coarse_indices[s]] = s
-        for place in range(starts[a], starts[a + 1]):
-            i, met = np.int64(order[place]), a
-            _add_forces(diagonal, size * np.uint64(i), i, zero, offset, held, kept, forces)
-            for k in range(len(forces)):
-                forces[k] *= 0.5
-            for p in range(indptr[i], indptr[i + 1]):
-                j = np.int64(indices[p])
-                if j <= i or label[j] < 0:
-                    continue
-                if label[j] != met:
-                    _collect(forces, i, zero, offset, held, kept, coarse[slot[met]])
-                    met = label[j]
-                _add_forces(data, size * np.uint64(p), j, zero, offset, held, kept, forces)
-            _collect(forces, i, zero, offset, held, kept, coarse[slot[met]])
-
-
-@kernel
-def _restrict(zero, residual, held, kept, offset, label, sums):
-    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
-    sums[:] = 0.0
-    for i in range(len(label)):
-        if label[i] >= 0:
-            r = read(residual, dim * np.uint64(i), zero)
-            for q in range(modes):
-                sums[modes * label[i] + q] += inner(_moved(q, i, zero, offset, held, kept), r)
-
-
-@kernel
-def _prolong(zero, values, held, kept, offset, label, result):
-    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
-    for i in range(len(label)):
-        if label[i] >= 0:
-            at = dim * np.uint64(i)
-            v = read(result, at, zero)
-            for q in range(modes):
-                v = add(v, scale(values[modes * label[i] + q], _moved(q, i, zero, offset, held, kept)))
-            write(result, at, v)
-
-
-class CoarseMatrix:
-    """B'(A + S)B of a contact status, factorised."""
-
-    def __init__(self, aggregates: Aggregates, matrix: sparse.bsr_array, diagonal: np.ndarray, held: np.ndarray,
-                 kept: np.ndarray) -> None:
-        dim = diagonal.shape[1]
-        modes, count = 3 * dim - 3, len(aggregates.indptr) - 1
-        self._zero = ZERO[dim]
-        self._given = held, kept.reshape(-1), aggregates.offset.reshape(-1), aggregates.label
-        half = np.zeros((len(aggregates.indices), modes, modes))
-        in_parts(_galerkin, count, matrix.data.size, self._zero, matrix.indptr, matrix.indices,
-                 matrix.data.reshape(-1), diagonal.reshape(-1), *self._given, aggregates.order, aggregates.starts,
-                 aggregates.indptr, aggregates.indices, half)
-        self._sums = np.zeros(count * modes)
-        self._unknowns, self._factor = aggregates.unknowns, None
-        band = np.bincount(aggregates.entries, half.reshape(-1), aggregates.band * len(self._sums))
-        band = band.reshape(-1, aggregates.band).T
-        band[0] = 2 * band[0] + raised(2 * band[0])
-        if count:
-            factor, failed = dpbtrf(band, lower=1, overwrite_ab=1)
-            # a motion that nothing holds: the sweeps alone precondition too
-            self._factor = None if failed else factor
-
-    def correct(self, residual: np.ndarray, result: np.ndarray) -> None:
-        if self._factor is not None:
-            _restrict(self._zero, residual, *self._given, self._sums)
-            self._sums[self._unknowns], _ = dpbtrs(self._factor, self._sums[self._unknowns], lower=1, overwrite_b=1)
-            _prolong(self._zero, self._sums, *self._given, result)
+def at_nodes(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_array:
+    """Return a matrix (n_dofs, n_dofs) of blocks (n, dim, dim) at the diagonal places of some nodes."""
+    order, n = np.argsort(nodes), n_dofs // blocks.shape[1]
+    starts = np.append(0, np.cumsum(np.bincount(nodes, minlength=n)))
+    return sparse.bsr_array((blocks[order], nodes[order], starts), shape=(n_dofs, n_dofs))
 
 
 def raised(diagonal: np.ndarray) -> np.ndarray:
@@ -371,3 +187,93 @@ def raised(diagonal: np.ndarray) -> np.ndarray:
     # motions that the status takes away altogether
     most = diagonal.max(initial=0.0)
     return np.where(diagonal > 1e-14 * most, _SHIFT * diagonal, most)
+
+
+@dataclass(frozen=True, eq=False)
+class AtNodes:
+    """What the nodes that carry the contact conditions have."""
+
+    gap: np.ndarray  # (n_contact,) m
+    slip: np.ndarray  # (n_contact, dim), in the tangent plane, m
+    pressure: np.ndarray  # (n_contact,) N
+    friction: np.ndarray  # (n_contact, dim) N
+
+    def forces(self, normals: np.ndarray) -> np.ndarray:
+        """Return contact forces (n_contact, dim), N."""
+        return self.friction - self.pressure[:, None] * normals
+
+
+class _Smoothed:
+    """The smoothed aggregates of a problem: the matrix in their span, condensed to what reaches contact nodes."""
+
+    def __init__(self, problem: DiscreteProblem) -> None:
+        dim, free = problem.dim, ~problem.fixed
+        matrix, nodes = sparse.csr_array(problem.matrix), np.arange(problem.n_nodes)
+        basis = aggregates_of(problem).basis(nodes, free.reshape(-1, dim)[:, :, None] * np.eye(dim))
+        inverse = np.where(free, 1 / matrix.diagonal(), 0.0)
+        vector = np.where(free, np.sin(np.arange(len(free)) ** 2.0), 0.0)
+        for _ in range(10):
+            largest = np.linalg.norm(vector)
+            vector = inverse * (matrix @ (vector / largest))
+        damping = 4 / 3 / (1.1 * np.linalg.norm(vector))
+        self.span = sparse.csr_array(basis - sparse.diags_array(damping * inverse) @ (matrix @ basis))
+        self.span.eliminate_zeros()
+        coarse = sparse.csc_array(self.span.T @ (matrix @ self.span))
+        coarse = coarse + sparse.diags_array(raised(coarse.diagonal()), format="csc")
+        self.frames = frames_of(problem.contact, problem.fixed.reshape(-1, dim))
+        dofs = (dim * problem.contact.nodes[:, None] + np.arange(dim)).reshape(-1)
+        at_contact = sparse.csr_array(_by_node(self.frames) @ self.span[dofs])
+        touched = np.isin(np.arange(self.span.shape[1]), at_contact.indices)
+        self.near, self.far = np.flatnonzero(touched), np.flatnonzero(~touched)
+        self.rows = sparse.csr_array(at_contact[:, self.near])
+        self._solve = splu(sparse.csc_array(coarse[self.far][:, self.far])).solve if len(self.far) else np.asarray
+        self._coupling = sparse.csc_array(coarse[self.far][:, self.near])
+        self.matrix = (coarse[self.near][:, self.near].toarray()
+                       - self._coupling.T @ self._solve(self._coupling.toarray()))
+
+    def product(self, unknowns: np.ndarray) -> np.ndarray:
+        return self.matrix @ unknowns
+
+    def values(self, unknowns: np.ndarray) -> np.ndarray:
+        return (self.rows @ unknowns).reshape(len(self.frames), -1)
+
+    def restricted(self, forces: np.ndarray) -> np.ndarray:
+        return self.rows.T @ forces.reshape(-1)
+
+    def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        return dense_factors(self.matrix + (self.rows.T @ (_by_node(blocks) @ self.rows)).toarray())
+
+    def condense(self, load: np.ndarray) -> np.ndarray:
+        """Return what the condensed equations take of forces (n_coarse,)."""
+        return load[self.near] - self._coupling.T @ self._solve(load[self.far])
+
+    def recover(self, load: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """Return the displacement (n_dofs,) of condensed unknowns."""
+        values = np.zeros(self.span.shape[1])
+        values[self.near] = near
+        values[self.far] = self._solve(load[self.far] - self._coupling @ near)
+        return self.span @ values
+
+
+_smoothed_of = remembered_of_structure(_Smoothed)
+
+
+def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
+    return sparse.bsr_array((blocks, np.arange(len(blocks)), np.arange(len(blocks) + 1)))
+
+
+def changed_status(problem: DiscreteProblem, residual: np.ndarray, here: AtNodes, stiffness: np.ndarray,
+                   limit: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces (n_contact, dim)
+    that it ends with; None if it is not found. ``stiffness`` and ``limit`` (n_contact,): of the nodes, N/m, and of
+    friction without pressure, N."""
+    coarse = _smoothed_of(problem)
+    load, n, dim = coarse.span.T @ residual, len(problem.contact), problem.dim
+    # where a support holds a tangent its reaction takes the place of friction
+    free = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
+    slip = to_frames(coarse.frames, here.slip)[:, 1:]
+    conditions = Conditions(here.gap, -slip, limit * free, problem.law.bounds(n)[1] * free)
+    found = interior_point(coarse, coarse.condense(load), conditions, np.tile(stiffness[:, None], dim), _ENOUGH)
+    if not found.slack <= _ENOUGH:
+        return None
+    return coarse.recover(load, found.unknowns), -from_frames(coarse.frames, found.forces)

@@ -23,11 +23,9 @@ import numpy as np
 from adaptmg._text import in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.solver.aggregates import Aggregates, aggregates_of
-from adaptmg.solver.energy_error import FrozenStatus, Tally, add_forces, correction, product_and_diagonal
-from adaptmg.solver.status_change import AtNodes, changed_status
-from adaptmg.solver.volume_error import mixed_correction
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.solver.aggregates import Aggregates, AtNodes, aggregates_of, changed_status
+from adaptmg.solver.energy_error import FrozenStatus, correction
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,7 +46,7 @@ class Certificate:
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: mostly 0 to 10 %
         too large, seldom too small. Where a solve stopped far below its rtol fewer steps do: one below .1 rtol, which
         may miss half of it, two below .6, which may say half too much. Where the corrected displacement contradicts the
-        status, the status may change (:mod:`adaptmg.solver.status_change`). With ``bound=True`` by a factorisation:
+        status, the status may change (:mod:`adaptmg.solver.aggregates`). With ``bound=True`` by a factorisation:
         exact for this status, and infinite where it leaves a motion free that is loaded.
     energy_rounding : float
         The part of it that rounding explains.
@@ -115,16 +113,13 @@ class Certificate:
 
 @one_blas_thread()
 def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
-            known: Known | None = None, aggregates: Aggregates | None = None, rtol: float = 0.0,
-            pressures: np.ndarray | None = None) -> Certificate:
+            rtol: float = 0.0, pressures: np.ndarray | None = None) -> Certificate:
     """Check a displacement and the contact forces and states that go with it; of a problem with volumes also their
     ``pressures``, Pa. An energy error below a tenth of ``rtol`` is estimated by one step."""
-    if aggregates is None and not bound:
-        aggregates = aggregates_of(problem)
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
-        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, known, pressures)
-        energy, energy_rounding = found.energy_error(None if bound else aggregates, rtol)
+        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, pressures)
+        energy, energy_rounding = found.energy_error(None if bound else aggregates_of(problem), rtol)
         lines = (found.equilibrium(), *found.volumes(), found.prescribed(), *found.normal(), *found.tangential(),
                  *found.states(), found.balance())
     if found.idle:
@@ -136,9 +131,6 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
     return Certificate(lines, energy, energy_rounding, bound, found.force, found.length, found.energy)
 
 
-#: of unknowns w: the residual b - A w (n_dofs,), their norm sqrt(w'Aw), and the diagonal blocks of A, which are
-#: overwritten
-Known = tuple[np.ndarray, float, np.ndarray]
 _OPEN, _SLIP, _STICK = 0, 1, 2
 #: share of rtol up to which one step estimates the energy error: further steps would make it a few times larger at most
 _NEGLIGIBLE = 0.1
@@ -177,22 +169,18 @@ class Evidence:
     """What the lines are made from. Forces of coupled bodies are those of the bodies, not of relative coordinates."""
 
     def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims,
-                 known: Known | None = None, pressures: np.ndarray | None = None) -> None:
+                 pressures: np.ndarray | None = None) -> None:
         self.problem, self.contact, self.pressures = problem, contact, pressures
         self.nodes = problem.contact.nodes
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
-        if known is None:
-            images, diagonal = product_and_diagonal(problem.matrix, self.unknowns.reshape(-1))
-            stored = _sum(self.unknowns, images)
-            if problem.volumes is not None:
-                stored += problem.volumes.energy(pressures)
-            known = problem.under(pressures).load - images, float(np.sqrt(max(stored, 0.0))), diagonal
-        residual, energy, self.diagonal = known
-        self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), energy**2)))
+        images = problem.matrix @ self.unknowns.reshape(-1)
+        energy = _sum(self.unknowns, images) + (0.0 if problem.volumes is None else problem.volumes.energy(pressures))
+        self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0))))
+        residual, diagonal = problem.under(pressures).load - images, problem.matrix.diagonal().reshape(shape)
         self.fixed = problem.fixed.reshape(shape)
-        self.stiffness = np.diagonal(self.diagonal[problem.contact.nodes], axis1=1, axis2=2).max(axis=1)
+        self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
         self.normals = problem.contact.normals
         self.claimed = from_frames(contact.frames, np.column_stack([-contact.force_n, contact.force_t]))
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
@@ -206,15 +194,16 @@ class Evidence:
         self.unexplained[self.nodes] -= self.claimed
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
         self.at_contact = self.unexplained[self.nodes]
-        self.tally = Tally(self.unexplained, self.fixed, self.u, self.unknowns,
-                           problem.fixed_values.reshape(shape), self.diagonal)
-        load = problem.physical_forces(problem.load)
-        self.force = max(_norm(load), self.tally.supports, _norm(self.claimed))
-        self.total = float(max(np.abs(load).sum(), self.tally.in_supports, np.abs(self.claimed).sum()))
-        self.length = self.tally.displacement
+        self.in_supports = self.unexplained[self.fixed]
+        self.left = np.where(self.fixed, 0.0, self.unexplained)
+        load, claimed = problem.physical_forces(problem.load), self.claimed
+        self.force = max(_norm(load), _norm(self.in_supports), _norm(claimed))
+        self.total = float(max(np.abs(load).sum(), np.abs(self.in_supports).sum(), np.abs(claimed).sum()))
+        self.length = float(np.abs(self.u).max())
         # a row sums terms of the size of its diagonal times its displacement
-        self.rounding = 8 * _EPSILON * self.tally.stiff
-
+        terms = np.abs(diagonal * self.u)
+        self.rounding = 8 * _EPSILON * _norm(terms)
+        self.energy_rounding = 32 * _EPSILON * float(np.sqrt(_sum(terms, np.abs(self.u))))
     @property
     def idle(self) -> bool:
         """Whether all forces are rounding: bodies that their supports move and nothing strains."""
@@ -252,9 +241,8 @@ class Evidence:
         return Condition(name, float(works.max(initial=0.0)), total, "N m", _over(total, scale), rounding)
 
     def equilibrium(self) -> Condition:
-        """Forces at free dofs that neither loads nor claimed contact forces explain."""
-        return Condition("equilibrium", self.tally.largest, self.tally.free, "N", _over(self.tally.free, self.force),
-                         _over(self.rounding, self.force))
+        """Return forces at free dofs that neither loads nor claimed contact forces explain."""
+        return self._forces("equilibrium", self.left)
 
     def volumes(self) -> tuple[Condition, ...]:
         """What the mean volume strains of groups and their pressures miss, as forces on a facet."""
@@ -264,8 +252,9 @@ class Evidence:
         return (self._forces("volumes", volumes.scale * volumes.missed(self.unknowns.reshape(-1), self.pressures)),)
 
     def prescribed(self) -> Condition:
-        return Condition("prescribed values", self.tally.furthest, self.tally.moved, "m",
-                         _over(self.tally.furthest, self.length), 16 * _EPSILON)
+        """Return by how much supports miss their values."""
+        missed = self.unknowns.reshape(-1) - self.problem.fixed_values
+        return self._lengths("prescribed values", missed[self.problem.fixed])
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Penetration, tension, complementarity."""
@@ -296,7 +285,7 @@ class Evidence:
 
     def balance(self) -> Condition:
         """Sum of loads, supports, claimed contact forces and elastic foundations: what free dofs leave unexplained."""
-        sums = self.tally.sums
+        sums = self.left.sum(axis=0)
         total = float(np.linalg.norm(sums))
         # n roundings of random sign
         rounding = self.rounding * np.sqrt(self.problem.n_nodes)
@@ -304,32 +293,29 @@ class Evidence:
                          _over(rounding, self.total))
 
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
-        """The relative energy error, estimated with these aggregates or exact, and as much of it as rounding explains.
-        Overwrites what is unexplained, and the diagonal blocks."""
-        rounding = 32 * _EPSILON * self.tally.stiff_energy
+        """Return the relative energy error, estimated with these aggregates or exact, and as much of it as rounding
+        explains."""
         here = AtNodes(self.gap, self.slip, self.pressure, self.friction)
         forces = self.problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
         negligible = (_NEGLIGIBLE * rtol * self.energy) ** 2
-        error, wrong = self._held(here, self.unknowns, forces, self.diagonal, aggregates, negligible)
-        if wrong and aggregates is not None and not error <= rounding:
+        error, wrong = self._held(here, self.unknowns, forces, aggregates, negligible)
+        if wrong and aggregates is not None and not error <= self.energy_rounding:
             error = self._with_changed_status(here, error, aggregates)
-        return _over(error, self.energy), _over(rounding, self.energy)
+        return _over(error, self.energy), _over(self.energy_rounding, self.energy)
 
-    def _held(self, here: AtNodes, unknowns: np.ndarray, forces: np.ndarray, diagonal: np.ndarray,
-              aggregates: Aggregates | None, negligible: float = 0.0) -> tuple[float, bool]:
+    def _held(self, here: AtNodes, unknowns: np.ndarray, forces: np.ndarray, aggregates: Aggregates | None,
+              negligible: float = 0.0) -> tuple[float, bool]:
         """||u - u_h||_A with the contact status held, infinite where it leaves a loaded motion free, and whether the
-        corrected displacement contradicts this status. Overwrites the forces and the diagonal."""
-        contact, matrix = self.problem.contact, self.problem.matrix
+        corrected displacement contradicts this status."""
+        contact, matrix, missed = self.problem.contact, self.problem.matrix, None
         status, change, lawful, closed = self._frozen(here, unknowns)
+        images = (matrix @ change.reshape(-1)).reshape(change.shape)
+        moved, forces = np.sqrt(max(_sum(change, images), 0.0)), forces + images
         forces[contact.nodes] += here.forces(contact.normals) - lawful
-        moved = np.sqrt(max(add_forces(matrix.indptr, matrix.indices, matrix.data, status.held, change, forces), 0.0))
         exerted = forces[contact.nodes] + lawful
-        if self.problem.volumes is None:
-            found = correction(matrix, diagonal, status, forces, aggregates, negligible, self.rounding)
-        else:
+        if self.problem.volumes is not None:
             missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
-            found = mixed_correction(self.problem, missed, diagonal, status, forces, aggregates, negligible,
-                                     self.rounding)
+        found = correction(self.problem, status, forces, missed, aggregates, negligible, self.rounding)
         gap = here.gap - _along(change[contact.nodes] - found.moved, contact.normals)
         pressure = -_along(exerted - found.forces, contact.normals)
         deepest = -_WRONG * np.linalg.norm(found.moved, axis=1).max(initial=0.0)
@@ -346,15 +332,15 @@ class Evidence:
         if found is None:
             return held
         change, exerted = found
-        images, diagonal = product_and_diagonal(matrix, change)
+        images = matrix @ change
         size, nodal = np.sqrt(max(_sum(change, images), 0.0)), change.reshape(self.u.shape)
         moved, normals = nodal[contact.nodes], contact.normals
         along, pressure = _along(moved, normals), -_along(exerted, normals)
         there = AtNodes(here.gap - along, here.slip + moved - along[:, None] * normals, pressure,
-                         exerted + pressure[:, None] * normals)
+                        exerted + pressure[:, None] * normals)
         forces = (images - residual).reshape(self.u.shape)
         forces[contact.nodes] -= exerted
-        after, _ = self._held(there, self.unknowns + nodal, forces, diagonal, aggregates)
+        after, _ = self._held(there, self.unknowns + nodal, forces, aggregates)
         changed = float(np.hypot(size, after))
         # where much more is missing after the change, the aggregates have not found the status
         return changed if after <= _FOUND * size else min(changed, max(held, size))
@@ -365,7 +351,8 @@ class Evidence:
         which nodes touch. At each node the cheaper is taken, in the measure of its stiffness: to move onto the obstacle
         (to zero slip), or to give the force up (to turn it against the slip)."""
         contact, dim = self.problem.contact, self.problem.dim
-        free, d = (~self.fixed[contact.nodes]).astype(float), self.stiffness
+        nodes, normals = contact.nodes, contact.normals
+        free, d = (~self.fixed[nodes]).astype(float), self.stiffness
         gap, pressure, slip, friction = here.gap, here.pressure, here.slip, here.friction * free
         closed = d * gap**2 < np.maximum(pressure, 0.0) ** 2 / d + d * np.minimum(gap, 0.0) ** 2
         closed |= gap < 0
@@ -379,40 +366,20 @@ class Evidence:
         beyond = stays & (excess > 0)
         against[beyond] = _directions(friction)[beyond]
         lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * free)
-        constant, change = _constant(self.problem), np.zeros_like(self.u)
-        change[contact.nodes] = np.where(closed, gap, 0.0)[:, None] * contact.normals - stays[:, None] * slip * free
-        fixed = constant.fixed
-        change.reshape(-1)[fixed] = self.problem.fixed_values[fixed] - unknowns.reshape(-1)[fixed]
-        slides, kept, tangents = ~stays | beyond, constant.free.copy(), constant.tangents
-        kept[:len(closed)] *= slides[:, None, None] * tangents + ~closed[:, None, None] * constant.normals
+        change = np.where(self.fixed, self.problem.fixed_values.reshape(unknowns.shape) - unknowns, 0.0)
+        at_contact = np.where(closed, gap, 0.0)[:, None] * normals - stays[:, None] * slip * free
+        change[nodes] = np.where(self.fixed[nodes], change[nodes], at_contact)
+        slides, along = ~stays | beyond, normals[:, :, None] * normals[:, None]
+        tangents = np.eye(dim) - along
+        others = np.setdiff1d(np.flatnonzero(self.fixed.any(axis=1)), nodes)
+        kept = slides[:, None, None] * tangents + ~closed[:, None, None] * along
+        kept = np.concatenate([kept * free[:, :, None] * free[:, None], ~self.fixed[others][:, :, None] * np.eye(dim)])
         turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))
         across = (tangents - against[:, :, None] * against[:, None]) * (dim == 3)
-        dragged = (self.coefficient * (slides & closed))[:, None, None] * against[:, :, None] * contact.normals[:, None]
-        pressed = -np.where(closed, pressure, 0.0)[:, None] * contact.normals
-        status = FrozenStatus(constant.held, kept, contact.nodes, turning[:, None, None] * across, dragged)
+        dragged = (self.coefficient * (slides & closed))[:, None, None] * against[:, :, None] * normals[:, None]
+        pressed = -np.where(closed, pressure, 0.0)[:, None] * normals
+        status = FrozenStatus(np.append(nodes, others), kept, nodes, turning[:, None, None] * across, dragged)
         return status, change, pressed + lawful, closed
-
-
-@dataclass(frozen=True, eq=False)
-class _Constant:
-    """What all contact states of a problem have in common."""
-
-    fixed: np.ndarray  # (n_fixed,) int: dofs
-    held: np.ndarray  # (m,) int: nodes in contact, then the others in supports
-    free: np.ndarray  # (m, dim, dim): what supports leave of a projection at contact nodes, the projections at others
-    normals: np.ndarray  # (n_contact, dim, dim): projections onto the normals of contact nodes
-    tangents: np.ndarray  # (n_contact, dim, dim): and onto their tangents
-
-
-@remembered_of_structure
-def _constant(problem: DiscreteProblem) -> _Constant:
-    contact, dim, dofs = problem.contact, problem.dim, np.flatnonzero(problem.fixed)
-    held = np.append(contact.nodes, np.setdiff1d(dofs // dim, contact.nodes))
-    free = ~problem.fixed.reshape(-1, dim)[held]
-    both = (free[:, :, None] & free[:, None]).astype(float)
-    both[len(contact):] *= np.eye(dim)
-    normals = contact.normals[:, :, None] * contact.normals[:, None]
-    return _Constant(dofs, held, both, normals, np.eye(dim) - normals)
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:

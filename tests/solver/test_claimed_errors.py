@@ -257,8 +257,8 @@ def test_the_true_error_is_at_most_rtol(case, friction, rtol, solver):
 
 
 def test_an_error_far_below_rtol_is_estimated_by_one_step(monkeypatch):
-    steps, step = [], energy_error.Preconditioner.__call__
-    monkeypatch.setattr(energy_error.Preconditioner, "__call__",
+    steps, step = [], energy_error._Preconditioner.__call__
+    monkeypatch.setattr(energy_error._Preconditioner, "__call__",
                         lambda self, residual: (steps.append(1), step(self, residual))[1])
     result = am.solve(bars("bar", 0.6), am.FullMultigrid(rtol=1e-2))
     assert len(steps) == 1
