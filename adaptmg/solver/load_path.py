@@ -45,7 +45,7 @@ from adaptmg.solver.outcome import (
 )
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import KINDS, NotConverged, Result
-from adaptmg.solver.statics import check_statics_of, warn_of_large_friction
+from adaptmg.solver.statics import check_statics_of, warn_of_several_solutions
 from adaptmg.solver.store import StepStore, damage, fingerprint
 from adaptmg.solver.truncated import Truncated
 
@@ -286,7 +286,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
         loop.take_over(len(results), result, coarse)
         results.append(result)
     if len(results) < len(path):
-        warn_of_large_friction(loop.examiner)
+        warn_of_several_solutions(grids)
         advise_on_problem(grids.problem, grids.finest.mesh_or_none)
     for k in range(len(results), len(path)):
         result = loop.step(k, progress if callable(progress) else None)
@@ -400,7 +400,7 @@ class PathLoop:
             past = self._with_extrapolated(forces, near)
         with run.phase("statics"):
             try:
-                check_statics_of(grids, coarse_first=k > 0)
+                check_statics_of(grids)
             except ValueError as error:
                 raise ValueError(f"step {k} of {len(self.path)} ({self.described(k)}): {error}") from error
         if self._at_rest(forces):

@@ -28,7 +28,7 @@ from adaptmg.solver.outcome import (
 )
 from adaptmg.solver.record import Run, Solver
 from adaptmg.solver.result import NotConverged, Result
-from adaptmg.solver.statics import check_statics_of, warn_of_large_friction, warn_of_several_solutions
+from adaptmg.solver.statics import check_statics_of, warn_of_several_solutions
 
 _LOG = logging.getLogger(__name__)
 
@@ -118,7 +118,6 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         check_statics_of(grids)
     with run.phase("setup"):
         run.examiner = examiner = Examiner(discrete)
-        warn_of_large_friction(examiner)
         warn_of_several_solutions(grids)
         advise_on_problem(grids.problem, grids.finest.mesh_or_none)
     outcome = handed_over(checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run)

@@ -19,6 +19,7 @@ nodes in contact the bound is another one.
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,8 +31,8 @@ from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.factorisation import condense_problem
+from adaptmg.smoother.system import contact_blocks
 from adaptmg.solver.advice import advise
-from adaptmg.solver.examine import Examiner
 
 _LOG = logging.getLogger(__name__)
 
@@ -63,12 +64,12 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
     return [part for part in parts if part[1].shape[1]]
 
 
-def check_statics_of(grids: Hierarchy, *, coarse_first: bool = True) -> None:
+def check_statics_of(grids: Hierarchy) -> None:
     """Call :func:`check_statics` on the finest level; where the coarsest one can be held the finest is not asked. A
     coarse grid has the same rigid motions, loads and directions of contact and costs nothing; what it cannot hold the
     finest one may (on a curved surface, say)."""
     coarsest = grids[0].discrete_or_none
-    if coarse_first and len(grids) > 1 and coarsest is not None and coarsest.near_nullspace is not None:
+    if len(grids) > 1 and coarsest is not None and coarsest.near_nullspace is not None:
         try:
             check_statics(coarsest)
             return
@@ -106,11 +107,20 @@ class _Body:
                             for whose, nodes in moving)
 
     def _words(self, nodes: np.ndarray, field: np.ndarray) -> str:
-        if np.ptp(field, axis=0).max() <= 1e-6 * np.abs(field).max():
-            return f"translation along {_axis(field[0])}"
-        if self.problem.coordinates is None:
-            return "rigid motion (a combination of near_nullspace)"
-        return _describe_turn(self.problem.coordinates[nodes], field)
+        """A motion (n, dim) of some nodes as text."""
+        motions, centre, size = _axis_motions(self.problem, nodes)
+        twist = np.linalg.lstsq(motions, field.reshape(-1), rcond=None)[0]
+        most, dim = 1e-6 * np.abs(field).max(), self.problem.dim
+        if np.abs(motions @ twist - field.reshape(-1)).max() > most:
+            return "motion (a combination of near_nullspace)"
+        shift, turn = twist[:dim], twist[dim:] / size
+        if size * np.abs(turn).max(initial=0.0) <= most:
+            return f"translation along {_axis(shift)}"
+        if dim == 2:
+            return f"rotation about {_vector(centre + np.array([-shift[1], shift[0]]) / turn, size)}"
+        pole = centre + np.cross(turn, shift) / (turn @ turn)
+        kind = "screw motion" if abs(shift @ turn) > most * np.linalg.norm(turn) else "rotation"
+        return f"{kind} about the axis along {_axis(turn)} through {_vector(pole, size)}"
 
 
 def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -253,57 +263,36 @@ def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
 
 def _plain_motions(body: _Body) -> np.ndarray:
     """Coefficients (n, k) of those plain motions, both ways, that are free: along and about the coordinate axes."""
-    problem, n = body.problem, len(body.nodes)
-    fields = []
+    problem, columns = body.problem, []
     for _, nodes in body.pieces:
-        for motion in _axis_motions(problem, nodes):
+        for motion in _axis_motions(problem, nodes)[0].T:
             field = np.zeros((problem.n_nodes, problem.dim))
-            field[nodes] = motion
-            fields.append(problem.relative(field)[body.nodes])
-    motions = np.stack([field.reshape(-1) for field in fields], axis=1)
-    coefficients = body.motions.T @ motions / n
+            field[nodes] = motion.reshape(len(nodes), -1)
+            columns.append(problem.relative(field)[body.nodes].reshape(-1))
+    motions = np.stack(columns, axis=1)
+    coefficients = body.motions.T @ motions / len(body.nodes)
     free = np.abs(body.motions @ coefficients - motions).max(axis=0) <= 1e-8
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
 
 
-def _axis_motions(problem: DiscreteProblem, nodes: np.ndarray) -> list[np.ndarray]:
-    """Motions (n, dim) of some nodes along, and where there are coordinates about, the coordinate axes."""
-    dim = problem.dim
-    fields = [np.tile(axis, (len(nodes), 1)) for axis in np.eye(dim)]
+def _axis_motions(problem: DiscreteProblem, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Motions (n * dim, m) of some nodes along, and where there are coordinates about, axes through their centre; this
+    centre and the size over which turns are."""
+    dim, centre, size = problem.dim, np.zeros(problem.dim), 1.0
+    columns = [np.tile(axis, (len(nodes), 1)) for axis in np.eye(dim)]
     if problem.coordinates is not None:
         x = problem.coordinates[nodes]
-        x = (x - x.mean(axis=0)) / np.ptp(x, axis=0).max()
-        for a, b in ((0, 1), (1, 2), (2, 0))[:1 if dim == 2 else 3]:
+        centre, size = x.mean(axis=0), float(np.ptp(x, axis=0).max())
+        for a, b in [(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)]:
             turn = np.zeros((len(nodes), dim))
-            turn[:, a], turn[:, b] = -x[:, b], x[:, a]
-            fields.append(turn)
-    return fields
+            turn[:, a], turn[:, b] = (centre - x)[:, b] / size, (x - centre)[:, a] / size
+            columns.append(turn)
+    return np.stack([column.reshape(-1) for column in columns], axis=1), centre, size
 
 
 def _plainest(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """A plain motion that the forces let go, if there is one; else ``motion`` (k,)."""
     return next((c for c in _plain_motions(body) if forces.let_go(c, work)), motion)
-
-
-def _describe_turn(points: np.ndarray, field: np.ndarray) -> str:
-    """A rigid motion (n, dim) of points (n, dim), not a translation, as text."""
-    dim = points.shape[1]
-    centre = points.mean(axis=0)
-    size = np.abs(points - centre).max()
-    affine = np.column_stack([np.ones(len(points)), (points - centre) / size])
-    fit = np.linalg.lstsq(affine, field, rcond=None)[0]
-    if np.abs(affine @ fit - field).max() > 1e-6 * np.abs(field).max():
-        return "motion that is not rigid (a combination of near_nullspace)"
-    shift, gradient = fit[0], fit[1:].T / size
-    spin = 0.5 * (gradient - gradient.T)
-    if dim == 2:
-        pole = centre + np.array([-shift[1], shift[0]]) / spin[1, 0]
-        return f"rotation about {_vector(pole, size)}"
-    rotation = np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
-    pole = centre + np.cross(rotation, shift) / (rotation @ rotation)
-    along = abs(shift @ rotation) > 1e-6 * (rotation @ rotation) * size
-    kind = "screw motion" if along else "rotation"
-    return f"{kind} about the axis along {_axis(rotation)} through {_vector(pole, size)}"
 
 
 def _axis(direction: np.ndarray) -> str:
@@ -326,7 +315,7 @@ _SMALL, _SMALL_CONTACT = 1500, 200
 
 @remembered_of_structure
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
-    """Return the critical coefficient of each contact node if it touches alone."""
+    """Return the critical coefficient of each contact node if it touches alone; NaN for bodies that contact holds."""
     dim, n = problem.dim, len(problem.contact)
     condensed = condense_problem(problem, lenient=True)
     values, vectors = np.linalg.eigh(condensed.matrix)
@@ -334,16 +323,39 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
         return np.full(n, np.nan)
     compliance = (vectors / values) @ vectors.T
     blocks = compliance.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n), :]
-    held = condensed.full.system.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
+    free = ~condensed.full.system.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     result = np.full(n, np.inf)
-    stiffness = np.linalg.inv(blocks[~held])
-    across = np.linalg.norm(stiffness[:, 0, 1:], axis=1)
-    along = np.linalg.eigvalsh(stiffness[:, 1:, 1:])[:, 0]
-    result[~held] = np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
+    result[free] = _critical(np.linalg.inv(blocks[free]))
     result.flags.writeable = False
     return result
 
 
+def _critical(stiffness: np.ndarray) -> np.ndarray:
+    """The critical coefficients (n,) of nodes with these stiffnesses (n, dim, dim) in their frames."""
+    tangential = stiffness[:, 1:, 1:].copy()
+    tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
+    along, across = np.linalg.eigvalsh(tangential)[:, 0], np.linalg.norm(stiffness[:, 0, 1:], axis=1)
+    return np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
+
+
+def warn_of_several_solutions(grids: Hierarchy) -> None:
+    """Warn where the friction of a node exceeds the estimate on the coarsest grid; where that is not cheap, or bodies
+    are held by contact, the one with all other nodes of the finest held, which is larger."""
+    problem, critical = grids[0].discrete_or_none, np.array([np.nan])
+    if problem is not None and problem.law.bounds(len(problem.contact))[1].any() and problem.n_dofs <= _SMALL and (
+            len(problem.contact) * problem.dim <= _SMALL_CONTACT):
+        with suppress(ValueError, np.linalg.LinAlgError):  # a singular interior is refused elsewhere
+            critical = critical_friction(problem)
+    if np.isnan(critical).any():
+        problem = grids.finest.discrete
+        critical = _critical(contact_blocks(problem))
+    friction = problem.law.bounds(len(problem.contact))[1]
+    beyond = friction >= critical
+    if beyond.any():
+        i = int(np.argmax(np.where(beyond, friction - critical, -np.inf)))
+        advise("friction", f"friction {friction[i]:g} exceeds {critical[i]:.2g}, from which on a node in contact alone "
+               f"may open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes): the solution "
+               "may not be unique; compare am.solve(..., start=...) from several starts", RuntimeWarning)
 def warn_of_several_solutions(grids: Hierarchy) -> None:
     """Warn where the friction of a node exceeds the estimate on the coarsest grid, if that is cheap."""
     problem = grids[0].discrete_or_none
@@ -363,17 +375,3 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
                f"may open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes of the coarsest "
                "grid): the solution may not be unique; compare am.solve(..., start=...) from several starts",
                RuntimeWarning)
-
-
-def warn_of_large_friction(examiner: Examiner) -> None:
-    """Say where even the problem of one node, all others held, may have several solutions: mu |a_nt| >= a_tt."""
-    blocks, nodes = examiner.blocks, examiner.discrete.contact.nodes
-    tangential = blocks[:, 1:, 1:].copy()
-    tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
-    coupling = examiner.contact.friction * np.linalg.norm(blocks[:, 0, 1:], axis=1)
-    beyond = coupling >= np.linalg.eigvalsh(tangential)[:, 0]
-    if beyond.any():
-        i = int(np.argmax(beyond))
-        advise("friction", f"friction {examiner.contact.friction[i]:g} is so large that the solution may not be unique "
-               f"({np.count_nonzero(beyond)} contact nodes, the first is node {nodes[i]}); which one is found depends "
-               "on start and method: compare am.solve(..., start=...) from several starts", RuntimeWarning)

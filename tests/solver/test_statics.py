@@ -103,7 +103,7 @@ class TestBareProblems:
         lifted, turning = plate(loads=weight(0.0, 1.0)), plate(law=am.Coulomb(1.0), loads=TIPPING)
         check_statics(replace(lifted, coordinates=None, near_nullspace=None))
         for problem, motion in ((lifted, "translation along y"),
-                                (turning, r"rigid motion \(a combination of near_nullspace\)")):
+                                (turning, r"motion \(a combination of near_nullspace\)")):
             with pytest.raises(ValueError, match=f"nothing holds a {motion}"):
                 check_statics(replace(problem, coordinates=None))
 
@@ -118,7 +118,7 @@ class TestBareProblems:
         # in skew coordinates of the user's: nothing is known about the shape of the motion, but it is found
         problem = plate(law=am.Coulomb(1.0), loads=TIPPING)
         shaken = problem.coordinates + np.random.default_rng(0).random(problem.coordinates.shape)
-        with pytest.raises(ValueError, match="nothing holds a motion that is not rigid"):
+        with pytest.raises(ValueError, match=r"nothing holds a motion \(a combination"):
             check_statics(replace(problem, coordinates=shaken))
 
     def test_springs_hold(self):
