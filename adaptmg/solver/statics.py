@@ -356,22 +356,3 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
         advise("friction", f"friction {friction[i]:g} exceeds {critical[i]:.2g}, from which on a node in contact alone "
                f"may open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes): the solution "
                "may not be unique; compare am.solve(..., start=...) from several starts", RuntimeWarning)
-def warn_of_several_solutions(grids: Hierarchy) -> None:
-    """Warn where the friction of a node exceeds the estimate on the coarsest grid, if that is cheap."""
-    problem = grids[0].discrete_or_none
-    if problem is None or problem.n_dofs > _SMALL or len(problem.contact) * problem.dim > _SMALL_CONTACT:
-        return
-    friction = problem.law.bounds(len(problem.contact))[1]
-    if not friction.any():
-        return
-    try:
-        critical = critical_friction(problem)
-    except (ValueError, np.linalg.LinAlgError):
-        return  # nothing is known of a singular interior, which is refused elsewhere
-    beyond = friction >= critical
-    if beyond.any():
-        i = int(np.argmax(np.where(beyond, friction - critical, -np.inf)))
-        advise("friction", f"friction {friction[i]:g} exceeds {critical[i]:.2g}, from which on a node in contact alone "
-               f"may open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes of the coarsest "
-               "grid): the solution may not be unique; compare am.solve(..., start=...) from several starts",
-               RuntimeWarning)

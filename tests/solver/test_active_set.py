@@ -15,7 +15,7 @@ from adaptmg.smoother.factorisation import condense
 from adaptmg.smoother.newton_rows import linearise
 from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem
-from adaptmg.solver.newton_steps import CondensedSteps, SparseSteps, local_near_nullspace
+from adaptmg.solver.active_set import CondensedSteps, SparseSteps, local_near_nullspace
 from adaptmg.solver.record import Run
 
 CASES = {

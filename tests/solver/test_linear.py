@@ -16,7 +16,7 @@ from adaptmg.mesh.structured import structured
 from adaptmg.smoother import factorisation
 from adaptmg.smoother.factorisation import condense, condense_problem, nested_dissection, node_graph
 from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver.newton_steps import local_near_nullspace
+from adaptmg.solver.active_set import local_near_nullspace
 
 
 def bar(divisions: int, problem: am.ContactProblem | None = None) -> DiscreteProblem:
