@@ -31,8 +31,7 @@ from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, facet_keys
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.solver.contact_result import ContactResult
-from adaptmg.solver.examine import energy_norm, euclidean_norm
+from adaptmg.solver.examine import ContactResult, energy_norm, euclidean_norm
 from adaptmg.solver.result import Result
 
 #: rows and columns of the tensor that are kept of stresses in the plane and in space; of axisymmetric ones; and back

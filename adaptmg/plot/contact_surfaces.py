@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from adaptmg import _checks as checks
 from adaptmg.plot import style
 from adaptmg.smoother.system import OPEN, SLIP, STICK
-from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
 
 #: length of the mean of the unit normals below which a surface bends around an axis

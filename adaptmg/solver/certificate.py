@@ -142,7 +142,7 @@ _EPSILON = float(np.finfo(float).eps)
 
 
 class ContactClaims(Protocol):
-    """What a result says of its contact nodes; see :class:`adaptmg.solver.contact_result.ContactResult`."""
+    """What a result says of its contact nodes; see :class:`adaptmg.solver.examine.ContactResult`."""
 
     node: np.ndarray
     frames: np.ndarray

@@ -35,7 +35,9 @@ from adaptmg.solver.controls import Controls
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
-from adaptmg.solver.outcome import (
+from adaptmg.solver.record import Outcome, Run, Solver, Status
+from adaptmg.solver.result import KINDS, NotConverged, Result
+from adaptmg.solver.solve import (
     checked_outcome,
     displacement_argument,
     grids_argument,
@@ -43,8 +45,6 @@ from adaptmg.solver.outcome import (
     pressures_argument,
     result_of,
 )
-from adaptmg.solver.record import Outcome, Run, Solver, Status
-from adaptmg.solver.result import KINDS, NotConverged, Result
 from adaptmg.solver.statics import check_statics_of, warn_of_several_solutions
 from adaptmg.solver.store import StepStore, damage, fingerprint
 from adaptmg.solver.truncated import Truncated

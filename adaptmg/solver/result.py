@@ -25,7 +25,7 @@ from adaptmg.discrete.stress_intensity import StressIntensity, stress_intensity
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, certify
-from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.record import Status
 from adaptmg.solver.store import packed, read
 

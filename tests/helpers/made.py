@@ -7,7 +7,7 @@ import numpy as np
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.problem import Box, Rectangle
 from adaptmg.smoother.system import OPEN, SLIP, STICK
-from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.record import Status
 from adaptmg.solver.result import Result
 
