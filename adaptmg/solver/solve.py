@@ -173,7 +173,7 @@ def _watched(callback: Callable[[dict[str, float]], None] | None, progress: bool
 
 
 def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
-    """Return a solver and the grids for it; for None the quickest, and why unless it is full multigrid on all levels."""
+    """Return a solver and the grids for it; for None the quickest, and why if it is not full multigrid on all levels."""
     if solver is not None:
         words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer run()"
         return grids, checks.offers("solver", solver, "run", words), ""
