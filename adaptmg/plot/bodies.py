@@ -20,7 +20,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table
 from adaptmg.plot import style
 from adaptmg.plot.surfaces import Lines, ShadedSurface, finish_axes, sharp_edges, view_of
-from adaptmg.solver.contact_result import ContactResult
+from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
 
 #: the largest numbers of triangles and of surface triangles whose edges are drawn by default

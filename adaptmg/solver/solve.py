@@ -173,7 +173,7 @@ def _watched(callback: Callable[[dict[str, float]], None] | None, progress: bool
 
 
 def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
-    """Return a solver and the grids for it; for None the quickest, and why if it is not full multigrid on all levels."""
+    """Return a solver and the grids for it; for None the quickest, and why if it is not full multigrid on all."""
     if solver is not None:
         words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer run()"
         return grids, checks.offers("solver", solver, "run", words), ""
@@ -238,7 +238,7 @@ def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:
     return checks.instance("grids", value, Hierarchy, "a Hierarchy or a DiscreteProblem")
 
 
-def checked_outcome(outcome: object, solver: Solver, discrete: DiscreteProblem) -> Outcome:
+def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem) -> Outcome:
     """Return what a solver, perhaps user-defined, returns: checked, and DIVERGED where its numbers are not finite."""
     name, shape = f"solver: of the Outcome of {type(solver).__name__}", (discrete.n_nodes, discrete.dim)
     checks.instance(f"solver: what {type(solver).__name__} returns", outcome, Outcome)
@@ -267,7 +267,7 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
         # a solver of the user may go on with its array
         found = examiner(np.array(outcome.displacement), outcome.rtol, outcome.pressures)
     volumes = grids.finest.discrete.volumes
-    if volumes is not None and stress_data is not None:
+    if volumes is not None and stress_data is not None and outcome.pressures is not None:
         stress_data = replace(stress_data, pressure=volumes.of_elements(outcome.pressures),
                               volume_energy=0.5 * volumes.energy(outcome.pressures))
     mesh, problem, supports, springs = cast("Any", grids.finest.mesh_or_none), grids.problem, {}, {}
