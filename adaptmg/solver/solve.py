@@ -253,7 +253,7 @@ def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem)
             raise TypeError(f"{name} {what} must be a number >= 0 or NaN, got {checks.shown(getattr(outcome, what))}")
     if not rtol < 1:
         raise ValueError(f"{name} rtol must be < 1, got {rtol:g}")
-    if discrete.volumes is not None and np.shape(outcome.pressures) != (len(discrete.volumes),):
+    if discrete.volumes is not None and np.shape(cast("Any", outcome.pressures)) != (len(discrete.volumes),):
         raise TypeError(f"{name} pressures must be those of {len(discrete.volumes)} volumes, got "
                         f"{checks.shown(outcome.pressures)}")
     finite = bool(np.isfinite(displacement).all())
