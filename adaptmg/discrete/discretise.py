@@ -7,7 +7,7 @@ With the area vectors :math:`a_F` of the facets F of the contact boundary at nod
 .. math:: n_i = \sum_F a_F \Big/ \Big|\sum_F a_F\Big|, \qquad w_i = \sum_F \int_F \varphi_i ,
 
 the area-weighted average normal and, in front of a rigid obstacle, the row sum of the boundary mass matrix (in
-axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.discrete.mortar.pairs`.
+axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.discrete.mortar`.
 
 A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it faces is found,
 there. In front of obstacles, facets of the other boundary count in its mass by the part that faces the same way. In a
@@ -41,8 +41,7 @@ from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import nodes_of_pieces, rigid_motions
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.moduli import Materials, body_materials
-from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
-from adaptmg.discrete.mortar.pairs import pair_interface
+from adaptmg.discrete.mortar import MortarInterface, pair_interface, slave_normals
 from adaptmg.discrete.obstacles import (
     TANGENTIAL,
     free_normals,

@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.contact_nodes import ROUNDING, Stops
-from adaptmg.discrete.mortar.interface import MortarInterface, slave_normals
+from adaptmg.discrete.mortar import MortarInterface, slave_normals
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.supports import HeldNodes, held_directions
 from adaptmg.mesh.arrays import MeshArrays, Surface

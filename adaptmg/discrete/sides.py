@@ -24,8 +24,7 @@ from scipy import sparse
 from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Unknowns
 from adaptmg.discrete.moduli import body_materials
-from adaptmg.discrete.mortar.interface import MortarInterface
-from adaptmg.discrete.mortar.pairs import pair_interface
+from adaptmg.discrete.mortar import MortarInterface, pair_interface
 from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import ContactPair, ContactProblem

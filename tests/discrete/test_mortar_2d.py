@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mortar import mortar_2d, node_normals, node_to_node, surfaces
+from mortar import mortar, node_normals, node_to_node, surfaces
 from refused import refused
 
-from adaptmg.discrete.mortar import pairs
-from adaptmg.discrete.mortar import segments as module
-from adaptmg.discrete.mortar.interface import NEVER_FACING
+from adaptmg.discrete import mortar as coupling_module
+from adaptmg.discrete import mortar_parts as module
+from adaptmg.discrete.mortar import NEVER_FACING
 
 SEEDS = st.integers(min_value=0, max_value=2**32 - 1)
 
@@ -100,9 +100,9 @@ class TestFlat:
         kept = [p for p in parts if carries[(k := np.searchsorted(xs, p.mean())) - 1] or carries[k]]
         if not kept:
             with pytest.raises(ValueError, match="excluded"):
-                mortar_2d(*data, excluded=out, axisymmetric=axisymmetric)
+                mortar(*data, excluded=out, axisymmetric=axisymmetric)
             return
-        found = mortar_2d(*data, excluded=out, axisymmetric=axisymmetric)
+        found = mortar(*data, excluded=out, axisymmetric=axisymmetric)
         assert not np.isin(found.nodes, out).any() and not found.coupling[:, np.unique(slave)[carries]].count_nonzero()
         # nodal forces of a uniform pressure on either side are the consistent ones, hence equal in sum
         weight = (lambda s: 2 * np.pi * s * np.cos(angle)) if axisymmetric else (lambda s: 1.0)
@@ -122,7 +122,7 @@ class TestFlat:
     @pytest.mark.parametrize("axisymmetric", [False, True])
     def test_small_coverage_stays_stable(self, covered, axisymmetric):
         xs, xm = np.linspace(0, 1, 6), np.r_[0.2 * (1 - covered), 0.3, 0.55, 0.8 + 0.2 * covered]
-        found = mortar_2d(*two(line(xs), line(xm, up=True)), axisymmetric=axisymmetric)
+        found = mortar(*two(line(xs), line(xm, up=True)), axisymmetric=axisymmetric)
         weight = (lambda x: 2 * np.pi * x) if axisymmetric else (lambda x: 1.0)
         loads = hats_over(xm, covered_parts(xs, xm, 0.9 * covered), weight)
         np.testing.assert_allclose((found.coupling.T @ found.weights)[6:][::-1], loads, rtol=1e-11)
@@ -134,13 +134,13 @@ class TestFlat:
 
     def test_less_coverage_is_dropped(self):
         xs, xm = np.linspace(0, 1, 6), np.array([0.2 - 1.9e-4, 0.5, 1.0])
-        np.testing.assert_array_equal(mortar_2d(*two(line(xs), line(xm, up=True))).nodes, np.arange(1, 6))
+        np.testing.assert_array_equal(mortar(*two(line(xs), line(xm, up=True))).nodes, np.arange(1, 6))
 
     def test_a_hole_in_the_master_surface(self):
         xs, left, right = np.linspace(0, 1, 4), np.array([0.0, 0.21, 0.4]), np.array([0.55, 0.8, 1.0])
         points, slave, master, normals = two(line(xs), line(np.r_[left, right], up=True))
         master = master[master[:, 0] != 6]  # the edge across the hole
-        found = mortar_2d(points, slave, master, normals)
+        found = mortar(points, slave, master, normals)
         forces = (found.coupling.T @ found.weights)[4:][::-1]
         np.testing.assert_allclose(forces[:3], hats_over(left, [(0.0, 0.4)]), atol=1e-13)
         np.testing.assert_allclose(forces[3:], hats_over(right, [(0.55, 1.0)]), atol=1e-13)
@@ -153,22 +153,22 @@ CUP, BAR = arc(1.0, np.linspace(-0.25 * np.pi, -0.75 * np.pi, 12)), np.array([-0
 
 
 def test_reach_and_depth():
-    assert len(mortar_2d(*DATA, reach=0.11)) == 4 and len(mortar_2d(*two(CUP, line(BAR, -0.5))))
-    np.testing.assert_allclose(mortar_2d(*DEEP, reach=0.6).gaps, -0.5)
+    assert len(mortar(*DATA, reach=0.11)) == 4 and len(mortar(*two(CUP, line(BAR, -0.5))))
+    np.testing.assert_allclose(mortar(*DEEP, reach=0.6).gaps, -0.5)
 
 
 test_refused = refused(
-    (lambda: mortar_2d(POINTS, SLAVE[:, ::-1], MASTER, NORMALS), r"point out of the slave body; that of node 1 .* Rev"),
-    (lambda: mortar_2d(POINTS, SLAVE, MASTER[:, ::-1], NORMALS), NEVER_FACING),
-    (lambda: mortar_2d(POINTS, SLAVE[:, ::-1], MASTER, node_normals(POINTS, SLAVE[:, ::-1])), NEVER_FACING),
-    (lambda: mortar_2d(*DATA, reach=0.05), f"^{NEVER_FACING} within a reach of 0.05 m"),
-    (lambda: mortar_2d(*DEEP), NEVER_FACING),
+    (lambda: mortar(POINTS, SLAVE[:, ::-1], MASTER, NORMALS), r"point out of the slave body; that of node 1 .* Rev"),
+    (lambda: mortar(POINTS, SLAVE, MASTER[:, ::-1], NORMALS), NEVER_FACING),
+    (lambda: mortar(POINTS, SLAVE[:, ::-1], MASTER, node_normals(POINTS, SLAVE[:, ::-1])), NEVER_FACING),
+    (lambda: mortar(*DATA, reach=0.05), f"^{NEVER_FACING} within a reach of 0.05 m"),
+    (lambda: mortar(*DEEP), NEVER_FACING),
     # beyond the centre of curvature
-    (lambda: mortar_2d(*two(CUP, line(BAR, 0.5))), NEVER_FACING),
-    (lambda: mortar_2d(POINTS, SLAVE, SLAVE[:, ::-1], NORMALS), "one of the master too"),
-    (lambda: mortar_2d(*two(line(np.linspace(0, 1, 6)), line([0.2, 0.2001], up=True))), "on a sliver of each facet"),
-    (lambda: mortar_2d(*DATA, excluded=range(4)), "every node of the slave surface is excluded"),
-    (lambda: mortar_2d(*two(line([0.0, 1.0, 2.0]), line([0.0, 1.0], up=True)), excluded=(0, 1)),
+    (lambda: mortar(*two(CUP, line(BAR, 0.5))), NEVER_FACING),
+    (lambda: mortar(POINTS, SLAVE, SLAVE[:, ::-1], NORMALS), "one of the master too"),
+    (lambda: mortar(*two(line(np.linspace(0, 1, 6)), line([0.2, 0.2001], up=True))), "on a sliver of each facet"),
+    (lambda: mortar(*DATA, excluded=range(4)), "every node of the slave surface is excluded"),
+    (lambda: mortar(*two(line([0.0, 1.0, 2.0]), line([0.0, 1.0], up=True)), excluded=(0, 1)),
      "only where slave nodes are excluded"))
 
 
@@ -184,7 +184,7 @@ def test_normals_are_weighted_by_measures(points, facets, normals):
 def errors_on_a_plane(n):
     angles = np.linspace(1.25 * np.pi, 1.75 * np.pi, n + 1)
     data = two(arc(1.0, angles, (0.0, 1.0)), line(np.linspace(-2, 2, 3), up=True))
-    found = mortar_2d(*data)
+    found = mortar(*data)
     x = data[0][found.nodes]
     return np.abs(found.gaps - x[:, 1] / (1 - x[:, 1]))[1:-1].max()
 
@@ -193,7 +193,7 @@ def errors_of_rings(n):
     """A shaft in a hole, gap 0.05: largest error of gap and of the nodes opposite."""
     data = two(arc(1.0, np.arange(n) * 2 * np.pi / n), arc(1.05, -np.arange(n + n // 3) * 2 * np.pi / (n + n // 3)),
                closed=True)
-    found = mortar_2d(*data)
+    found = mortar(*data)
     assert len(found) == n
     opposite = found.coupling @ data[0]
     return np.array([np.abs(found.gaps - 0.05).max(), np.linalg.norm(opposite - 1.05 * data[0][:n], axis=1).max()])
@@ -209,7 +209,7 @@ class TestCurved:
         # hole of radius 1, shaft of radius 1.02: the rays also meet the far side of the hole
         data = two(arc(1.02, np.linspace(0, 2 * np.pi, 60, endpoint=False)),
                    arc(1.0, -np.linspace(0, 2 * np.pi, 70, endpoint=False)), closed=True)
-        found = mortar_2d(*data)
+        found = mortar(*data)
         np.testing.assert_allclose(found.gaps, -0.02, atol=3e-3)
         np.testing.assert_allclose(found.coupling @ data[0], data[0][:60], atol=0.03)
 
@@ -219,13 +219,13 @@ class TestCurved:
         steps = np.array([[1.0, -0.5], [0.0, -0.5], [1.0, 0.0], [0.0, 0.0], [0.6, 0.1], [0.4, 0.1]])
         points, slave, _, normals = two(line(np.linspace(0, 1, 6), 0.2), steps)
         master = np.array([[6, 7], [8, 9], [10, 11]])[list(order)]
-        found = mortar_2d(points, slave, master, normals)
+        found = mortar(points, slave, master, normals)
         np.testing.assert_allclose(found.gaps, [0.2, 0.2, 0.15, 0.15, 0.2, 0.2], atol=1e-14)
         assert not found.coupling[:, [6, 7]].count_nonzero()
         # 0.02 below the top of the step overlap is nearer than the floor, 0.02 above the floor it is not
         for height, gap in ((0.08, (0.08 - 0.02) / 2), (0.02, 0.02)):
             points[:6, 1] = height
-            np.testing.assert_allclose(mortar_2d(points, slave, master, normals).gaps[2:4], gap, atol=1e-14)
+            np.testing.assert_allclose(mortar(points, slave, master, normals).gaps[2:4], gap, atol=1e-14)
 
     @settings(max_examples=50, deadline=None)
     @given(seed=SEEDS)
@@ -267,16 +267,16 @@ class TestCurved:
 
         reach = [None, 0.05, 3.0][seed % 3]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "_candidates", everything)
+            patch.setattr(module, "_edges_near", everything)
             try:
-                expected = mortar_2d(*data, reach=reach)
+                expected = mortar(*data, reach=reach)
             except ValueError:
                 expected = None
         if expected is None:
             with pytest.raises(ValueError, match="surfaces"):
-                mortar_2d(*data, reach=reach)
+                mortar(*data, reach=reach)
             return
-        assert_same(mortar_2d(*data, reach=reach), expected)
+        assert_same(mortar(*data, reach=reach), expected)
 
 
 # -- node to node (in space: test_mortar_3d) -----------------------------------------------------------------------
@@ -290,13 +290,13 @@ def lines(x, gap, seed=None):
 @pytest.mark.parametrize("axisymmetric", [False, True])
 def test_matching_lines(gap, axisymmetric):
     data = lines(np.array([0.0, 0.1, 0.3, 0.7, 1.0]), gap, seed=1)
-    found, mortar = (couple(*data, axisymmetric=axisymmetric) for couple in (node_to_node, mortar_2d))
+    found, dual = (couple(*data, axisymmetric=axisymmetric) for couple in (node_to_node, mortar))
     np.testing.assert_array_equal(found.coupling.indices, 9 - np.arange(5))
     np.testing.assert_array_equal(found.coupling.data, 1.0)
     np.testing.assert_allclose(found.gaps, gap)
-    np.testing.assert_allclose(found.weights, mortar.weights)
-    assert abs(found.coupling - mortar.coupling).max() < 1e-12 and mortar.coupling.nnz == 5
-    np.testing.assert_array_equal(mortar.nodes, np.arange(5))
+    np.testing.assert_allclose(found.weights, dual.weights)
+    assert abs(found.coupling - dual.coupling).max() < 1e-12 and dual.coupling.nnz == 5
+    np.testing.assert_array_equal(dual.nodes, np.arange(5))
 
 
 def test_excluded_nodes_have_no_row():
@@ -319,13 +319,13 @@ def test_refusals(monkeypatch):
         node_to_node(points, slave, turned, normals)
     with pytest.raises(ValueError, match=r"slave node 0 .* has no partner"):
         node_to_node(points, slave, master[:-1], normals)
-    monkeypatch.setattr(pairs, "_OFFSET", 4.0)
+    monkeypatch.setattr(coupling_module, "_OFFSET", 4.0)
     with pytest.raises(ValueError, match=r"slave node \d .* has the same partner 6 as another"):
         node_to_node(points, slave, master[:1], normals, excluded=(2, 3, 4))
 
 
 def test_a_node_on_the_axis(monkeypatch):
-    monkeypatch.setattr(pairs, "_OFFSET", 1.0)
+    monkeypatch.setattr(coupling_module, "_OFFSET", 1.0)
     points = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0], [0.0, 1.1], [0.0, -0.1], [1.0, -0.1]])
     slave, master = np.array([[0, 1], [1, 2]]), np.array([[5, 4], [4, 3]])
     with pytest.raises(ValueError, match=r"slave node 0 has no area"):

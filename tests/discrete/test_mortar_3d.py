@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from mortar import mortar_3d, node_normals, node_to_node
+from mortar import mortar, node_normals, node_to_node
 from refused import refused
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 
-from adaptmg.discrete.mortar.interface import NEVER_FACING
+from adaptmg.discrete.mortar import NEVER_FACING
 from adaptmg.mesh.arrays import Surface
 
 DOWN, UP = False, True
@@ -37,7 +37,7 @@ def joined(slave, *masters):
 
 
 def couple(points, slave, master, **options):
-    return mortar_3d(points, slave, master, node_normals(points, slave), **options)
+    return mortar(points, slave, master, node_normals(points, slave), **options)
 
 
 def lumped(points, facets):
@@ -55,7 +55,7 @@ def rigid(points, seed):
     return points @ Rotation.random(random_state=seed).as_matrix().T + [0.3, -2.0, 1.0]
 
 
-@pytest.mark.parametrize("kind", [mortar_3d, node_to_node])
+@pytest.mark.parametrize("kind", [mortar, node_to_node])
 def test_matching_meshes_give_the_identity(kind):
     top = square(80, 0, up=DOWN, z=0.1)
     points, slave, master = joined(top, (top[0] - [0, 0, 0.1], top[1][:, ::-1]))
@@ -213,7 +213,7 @@ def test_reach_and_depth(height, reach):
 
 def inward():
     points, slave, master = joined(square(10, 1, up=DOWN, z=0.1), square(10, 2, up=UP))
-    return mortar_3d(points, slave, master, -node_normals(points, slave))
+    return mortar(points, slave, master, -node_normals(points, slave))
 
 
 test_refused = refused(

@@ -1,10 +1,10 @@
 """The couplings of two surfaces, from arrays."""
 
-from adaptmg.discrete.mortar import pairs, segments, triangles
-from adaptmg.discrete.mortar.interface import Surfaces
+from adaptmg.discrete import mortar as module
+from adaptmg.discrete.mortar_parts import Surfaces
 from adaptmg.mesh.arrays import Surface
 
-__all__ = ["mortar_2d", "mortar_3d", "node_normals", "node_to_node", "surfaces"]
+__all__ = ["mortar", "node_normals", "node_to_node", "surfaces"]
 
 
 def node_normals(points, facets):
@@ -15,13 +15,9 @@ def surfaces(points, slave, master, normals, *, excluded=(), axisymmetric=False)
     return Surfaces(Surface(points, slave), Surface(points, master), normals, [*excluded], axisymmetric)
 
 
-def mortar_2d(*data, reach=None, **options):
-    return segments.mortar_2d(surfaces(*data, **options), reach)
-
-
-def mortar_3d(*data, reach=None, **options):
-    return triangles.mortar_3d(surfaces(*data, **options), reach)
+def mortar(*data, reach=None, **options):
+    return module.mortar(surfaces(*data, **options), reach)
 
 
 def node_to_node(*data, **options):
-    return pairs.node_to_node(surfaces(*data, **options))
+    return module.node_to_node(surfaces(*data, **options))
