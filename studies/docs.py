@@ -129,7 +129,7 @@ def _shown(value: object) -> str:
         return value.replace("|", r"\|").replace("*", r"\*")
     if isinstance(value, (bool, int, float)):
         return f"{value:.7g}" if isinstance(value, float) else str(value)
-    return f":class:`~adaptmg.cases.{type(value).__name__}`"                      # a closed form
+    return "a function" if callable(value) else f":class:`~adaptmg.cases.{type(value).__name__}`"   # a closed form
 
 
 def measured_page(folder: Path) -> str:

@@ -9,24 +9,14 @@ from types import MappingProxyType
 from adaptmg import _checks as checks
 from adaptmg.cases.blocks import incline, leaning_strut, two_block_patch
 from adaptmg.cases.bolted_junction import Flanges, bolted_junction
-from adaptmg.cases.closed_forms import (
-    LineContact,
-    PartialSlip,
-    PointContact,
-    PunchPressure,
-    cattaneo,
-    flat_punch,
-    hertz_cylinder,
-    hertz_sphere,
-)
+from adaptmg.cases.closed_forms import HertzContact, PartialSlip, cattaneo, flat_punch, hertz_cylinder, hertz_sphere
 from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
 from adaptmg.cases.paper import curved_obstacle, dovetail, greco_bar, greco_block, upset_block
 from adaptmg.problem import ContactProblem
 
-__all__ = ["CASES", "Case", "Flanges", "LineContact", "PartialSlip", "PointContact", "PunchPressure", "TransitionField",
-           "bolted_junction", "cattaneo", "coulomb_transition", "curved_obstacle", "dovetail", "flat_punch", "get",
-           "greco_bar", "greco_block", "hertz_cylinder", "hertz_sphere", "incline", "leaning_strut",
-           "two_block_patch", "upset_block"]
+__all__ = ["CASES", "Case", "Flanges", "HertzContact", "PartialSlip", "TransitionField", "bolted_junction", "cattaneo",
+           "coulomb_transition", "curved_obstacle", "dovetail", "flat_punch", "get", "greco_bar", "greco_block",
+           "hertz_cylinder", "hertz_sphere", "incline", "leaning_strut", "two_block_patch", "upset_block"]
 
 
 @dataclass(frozen=True)

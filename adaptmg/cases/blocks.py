@@ -17,6 +17,7 @@ import numpy as np
 
 import adaptmg as am
 from adaptmg import _checks as checks
+from adaptmg.cases.paper import constant_friction
 from adaptmg.problem import Domain, Law
 
 _STEEPEST = 30.0
@@ -169,8 +170,8 @@ def incline(*, law: Law = am.Coulomb(0.5), angle: float = 20.0, width: float = 0
         "quantity": "resultant contact force on the block, N/m", "weight": weight,
         "force_n": weight * math.cos(math.radians(angle)), "force_t": weight * math.sin(math.radians(angle)),
         "sources": {"force_n": "equilibrium", "force_t": "equilibrium"}}
-    if isinstance(law, am.Coulomb) and not callable(law.friction) and np.ndim(law.friction) == 0:
-        reference["holds"] = slope <= law.friction
+    if (friction := constant_friction(law)) is not None:
+        reference["holds"] = slope <= friction
     return am.ContactProblem(
         name="block on an incline", material=am.PlaneStrain(young=young, poisson=poisson),
         domain=am.Assembly(parts={

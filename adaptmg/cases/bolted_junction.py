@@ -17,14 +17,14 @@ strain, which without friction under the heads (the default in 2D) does not reac
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.problem import Elastic, Law
+from adaptmg.problem import Law
 from adaptmg.problem.solid_domains import SolidDomain
 
 _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
@@ -33,18 +33,6 @@ _REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The va
 # with the default parameters
 _VALUES = {"open_to": 0.2249, "slip_to": 0.2342, "gap": 8.88e-6, "peak": 33.5e6, "peak_at": 0.245,
            "joint_force": 1.985e6, "bolt_force": 2.488e6}
-
-
-@dataclass(frozen=True)
-class _Friction:
-    """Friction of the joint near z = 0, of the heads elsewhere; a class, so that problems can be pickled."""
-
-    joint: float
-    heads: float
-    reach: float
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        return np.where(np.abs(points[:, -1]) < self.reach, self.joint, self.heads)
 
 
 def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4e6, friction: float = 0.2,
@@ -92,75 +80,47 @@ def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4
     if usual:
         reference |= {"values": dict(_VALUES), "sources": {
             "values": "mesh convergence of this case: contact edges of 1, 0.5 and 0.25 mm"}}
-    model = _Model(flanges, material, flanges.shortening(preload, material.young, dim))
+    parts = _parts(flanges, dim)
+    bolts = [name for name in parts if name.startswith("bolt")]
+    heads = [am.ContactPair(f"{name}.{side}_head", f"{side}.{'seat' if dim == 2 else 'face'}")
+             for name in bolts for side in ("upper", "lower")]
+    # each bolt contracts towards its own axis, not towards that of the vessels
+    ring = {"upper": material, "lower": material, "bolt": am.Axisymmetric(young=young, poisson=0.0)}
+    before, wall = (0.0,) * (dim - 1), math.pi * ((flanges.bore + flanges.wall)**2 - flanges.bore**2)
+    strain = (*before, -flanges.shortening(preload, material.young, dim) / flanges.clamped)
+    supports = [am.Support("lower.pipe", **{"xyz"[dim - 1]: 0.0})]
+    if dim == 3:
+        supports += [am.Support(f"{side}.{name}", **{axis: 0.0}) for side in ("upper", "lower")
+                     for name, axis in (("start", "y"), ("end", "x"))]
     return am.ContactProblem(
-        name="bolted junction" if dim == 2 else "bolted junction, sector", material=model.materials(),
-        domain=am.Assembly(parts=model.parts), contact=model.pairs(), law=_law(friction, model),
-        loads=model.loads(pressure), supports=model.supports(), reference=reference)
+        name="bolted junction" if dim == 2 else "bolted junction, sector", material=ring if dim == 2 else material,
+        domain=am.Assembly(parts=parts), contact=(am.ContactPair("upper.joint", "lower.joint"), *heads),
+        law=_law(friction, flanges, dim), supports=supports, reference=reference,
+        loads=(*(am.InitialStrain(name, strain) for name in bolts), am.Pressure("upper.bore", pressure),
+               am.Pressure("lower.bore", pressure),
+               am.Traction("upper.pipe", (*before, flanges.thrust(pressure) / wall))))
 
 
-def _law(friction: float, model: _Model) -> Law:
-    friction, heads = checks.nonnegative("friction", friction), 0.0 if model.dim == 2 else 0.2
+def _law(friction: float, flanges: Flanges, dim: int) -> Law:
+    friction, heads = checks.nonnegative("friction", friction), 0.0 if dim == 2 else 0.2
     if heads == friction:
         return am.Coulomb(friction) if friction else am.Frictionless()
-    return am.Coulomb(_Friction(friction, heads, 0.5 * min(model.flanges.upper, model.flanges.lower)))
+    return am.Coulomb(partial(_friction, friction, heads, 0.5 * min(flanges.upper, flanges.lower)))
 
 
-@dataclass(frozen=True)
-class _Model:
-    """The parts of the problem."""
+def _friction(joint: float, heads: float, reach: float, points: np.ndarray) -> np.ndarray:
+    """Friction (n,) of the joint near z = 0, of the heads elsewhere."""
+    return np.where(np.abs(points[:, -1]) < reach, joint, heads)
 
-    flanges: Flanges
-    material: Elastic
-    shortening: float
-    parts: Mapping[str, am.Polygon | SolidDomain] = field(init=False)
 
-    def __post_init__(self) -> None:
-        f = self.flanges
-        upper, lower = _flange_section(f, f.upper, self.dim), _mirrored(_flange_section(f, f.lower, self.dim))
-        parts: dict[str, am.Polygon | SolidDomain] = {"upper": upper, "lower": lower}
-        if self.dim == 2:
-            parts["bolt"] = _ring_section(f)
-        else:
-            places = _bolt_places(f)
-            parts = {name: _drilled(part, f, places) for name, part in parts.items()}
-            parts |= {f"bolt{k}": _bolt_solid(f, place) for k, place in enumerate(places)}
-        object.__setattr__(self, "parts", parts)
-
-    @property
-    def dim(self) -> int:
-        return self.material.dim
-
-    @property
-    def bolts(self) -> tuple[str, ...]:
-        return tuple(name for name in self.parts if name.startswith("bolt"))
-
-    def materials(self) -> Elastic | dict[str, Elastic]:
-        if self.dim == 3:
-            return self.material
-        # each bolt contracts towards its own axis, not towards that of the vessels
-        ring = am.Axisymmetric(young=self.material.young, poisson=0.0)
-        return {"upper": self.material, "lower": self.material, "bolt": ring}
-
-    def pairs(self) -> tuple[am.ContactPair, ...]:
-        heads = [am.ContactPair(f"{name}.{side}_head", f"{side}.{'seat' if self.dim == 2 else 'face'}")
-                 for name in self.bolts for side in ("upper", "lower")]
-        return (am.ContactPair("upper.joint", "lower.joint"), *heads)
-
-    def loads(self, pressure: float) -> tuple[am.Pressure | am.Traction | am.InitialStrain, ...]:
-        f = self.flanges
-        wall = math.pi * ((f.bore + f.wall)**2 - f.bore**2)
-        inside = tuple(am.Pressure(f"{side}.bore", pressure) for side in ("upper", "lower"))
-        end = am.Traction("upper.pipe", (0.0,) * (self.dim - 1) + (f.thrust(pressure) / wall,))
-        strain = (0.0,) * (self.dim - 1) + (-self.shortening / f.clamped,)
-        return (*(am.InitialStrain(name, strain) for name in self.bolts), *inside, end)
-
-    def supports(self) -> tuple[am.Support, ...]:
-        if self.dim == 2:
-            return (am.Support("lower.pipe", y=0.0),)
-        planes = [am.Support(f"{side}.{name}", **{axis: 0.0}) for side in ("upper", "lower")
-                  for name, axis in (("start", "y"), ("end", "x"))]
-        return (am.Support("lower.pipe", z=0.0), *planes)
+def _parts(flanges: Flanges, dim: int) -> dict[str, am.Polygon | SolidDomain]:
+    upper = _flange_section(flanges, flanges.upper, dim)
+    lower = _mirrored(_flange_section(flanges, flanges.lower, dim))
+    if dim == 2:
+        return {"upper": upper, "lower": lower, "bolt": _ring_section(flanges)}
+    places = _bolt_places(flanges)
+    return {"upper": _drilled(upper, flanges, places), "lower": _drilled(lower, flanges, places),
+            **{f"bolt{k}": _bolt_solid(flanges, place) for k, place in enumerate(places)}}
 
 
 # effective section A_m of what the bolts clamp, m^2, from solutions of the default geometry without pressure
@@ -206,37 +166,37 @@ class Flanges:
 
     @property
     def head_diameter(self) -> float:
-        """Of a bolt, m."""
+        """Return the diameter of the head of a bolt, m."""
         return 1.6 * self.diameter
 
     @property
     def head_height(self) -> float:
-        """Of a bolt, m."""
+        """Return the height of the head of a bolt, m."""
         return 0.7 * self.diameter
 
     @property
     def hole(self) -> float:
-        """Radius of the bolt holes, m."""
+        """Return the radius of the bolt holes, m."""
         return 0.55 * self.diameter
 
     @property
     def clamped(self) -> float:
-        """Clamped length of the bolts, m."""
+        """Return the clamped length of the bolts, m."""
         return self.upper + self.lower
 
     @property
     def bolt_area(self) -> float:
-        """Section of all shanks together, m^2."""
+        """Return the section of all shanks together, m^2."""
         return self.n_bolts * 0.25 * math.pi * self.diameter**2
 
     @property
     def shank(self) -> float:
-        """Radial width of the equivalent ring's shank, m: its section is that of all bolts."""
+        """Return the radial width of the equivalent ring's shank, m: its section is that of all bolts."""
         return self.bolt_area / (2 * math.pi * self.bolt_circle)
 
     @property
     def inside_bolts(self) -> float:
-        """Radius of the circle that touches the bolt holes from inside, m."""
+        """Return the radius of the circle that touches the bolt holes from inside, m."""
         return self.bolt_circle - self.hole
 
     def thrust(self, pressure: float) -> float:

@@ -28,6 +28,7 @@ import numpy as np
 
 import adaptmg as am
 from adaptmg import _checks as checks
+from adaptmg.cases.paper import constant_friction
 
 if TYPE_CHECKING:
     from adaptmg.estimate.reference_error import EnergyError
@@ -61,11 +62,12 @@ def coulomb_transition(*, law: am.Coulomb = am.Coulomb(0.5), kind: str = "open",
     """
     checks.choice("kind", kind, ("open", "stick"))
     checks.choice("sign", sign, ("+", "-"))
-    if not isinstance(law, am.Coulomb) or callable(law.friction) or np.ndim(law.friction) or not 0 < law.friction <= 2:
+    friction = constant_friction(law) or 0.0
+    if not 0 < friction <= 2:
         raise ValueError("law must be Coulomb(f) with a constant f above 0 and at most 2, got "
                          f"{checks.described(law)}")
     pressure = checks.quantity("pressure", pressure, positive=True)
-    field = _field(kind, sign == "+", float(law.friction), pressure, am.PlaneStrain(young=young, poisson=poisson))
+    field = _field(kind, sign == "+", friction, pressure, am.PlaneStrain(young=young, poisson=poisson))
     moved = [partial(_displaced, field, k) for k in (0, 1)]
     return am.ContactProblem(
         name=f"Coulomb transition, slip and {kind}, {sign}", material=field.material,
@@ -143,11 +145,8 @@ class TransitionField:
         z, mu = _complex(points), self.material.shear_modulus
         kappa = 3 - 4 * self.material.poisson
         first, second, other = _derivatives(z, self.exponent, self.a, self.b)
-        common = np.conj(first)
-        # z conj(phi'') + conj(psi'), with z conj(z^(lambda - 2)) written so that it is 0 at z = 0
-        rest = np.conj(second) + np.conj(other)
-        along_x = (kappa * first - common - rest) / (2 * mu)
-        along_y = 1j * (kappa * first - common + rest) / (2 * mu)
+        common, rest = kappa * first - np.conj(first), np.conj(second + other)
+        along_x, along_y = (common - rest) / (2 * mu), 1j * (common + rest) / (2 * mu)
         result = np.stack([np.stack([along_x.real, along_y.real], -1), np.stack([along_x.imag, along_y.imag], -1)], -2)
         result[:, 0, 1] += self.shear / mu
         result[:, 1, 1] -= self.pressure / (self.material.lame + 2 * mu)
@@ -195,26 +194,20 @@ def _sheared(field: TransitionField, normal: float, points: np.ndarray) -> np.nd
 def _complex(points: np.ndarray) -> np.ndarray:
     """Complex coordinates (n,); points below the plane by rounding are moved onto it, where the fields have a cut."""
     points = np.asarray(points, dtype=np.float64)
-    return points[:, 0] + 1j * np.maximum(points[:, 1], 0.0)
-
-
-def _power(z: np.ndarray, exponent: float) -> np.ndarray:
-    """Z^exponent with angles 0 .. pi."""
-    return np.abs(z)**exponent * np.exp(1j * exponent * np.arctan2(np.maximum(z.imag, 0.0) + 0.0, z.real))
+    return points[:, 0] + 1j * (np.maximum(points[:, 1], 0.0) + 0.0)
 
 
 def _derivatives(z: np.ndarray, exponent: float, a: complex, b: complex) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Phi', conj(z) phi'' and psi'."""
-    slope = exponent * _power(z, exponent - 1)
-    # conj(z) z^(lambda - 2) = z^(lambda - 1) (conj(z) / z): of size r^(lambda - 1), 0 at z = 0
-    turned = np.abs(z)**(exponent - 1) * np.exp(1j * (exponent - 3) * np.arctan2(np.maximum(z.imag, 0.0), z.real))
-    return a * slope, a * exponent * (exponent - 1) * turned, b * slope
+    slope = exponent * z**(exponent - 1)
+    # conj(z) / z as a turn, which is finite at z = 0
+    return a * slope, a * (exponent - 1) * slope * np.exp(-2j * np.angle(z)), b * slope
 
 
 def _displacement(z: np.ndarray, exponent: float, a: complex, b: complex, poisson: float) -> np.ndarray:
     """2 mu (u_x + i u_y)."""
-    power = _power(z, exponent)
-    return ((3 - 4 * poisson) * a * power - z * np.conj(a * exponent * _power(z, exponent - 1)) - np.conj(b * power))
+    first = _derivatives(z, exponent, a, b)[0]
+    return (3 - 4 * poisson) * a * z**exponent - z * np.conj(first) - np.conj(b * z**exponent)
 
 
 def _stress(z: np.ndarray, exponent: float, a: complex, b: complex) -> np.ndarray:

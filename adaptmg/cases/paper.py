@@ -36,13 +36,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg.problem import Law
+
+
+def constant_friction(law: Law) -> float | None:
+    """Return the coefficient of a law of Coulomb that is the same everywhere, else None."""
+    return law.friction if isinstance(law, am.Coulomb) and isinstance(law.friction, float) else None
+
 
 _POINTS = {"A": (0.0, 0.0), "B": (1.25e-3, 0.0), "C": (5e-3, 0.0), "D": (7.5e-3, 0.0), "E": (11.25e-3, 0.0)}
 _SSNV128 = {"A": 2.86e-5, "B": 2.72e-5, "C": 2.28e-5, "D": 1.98e-5, "E": 1.50e-5}
@@ -92,7 +99,7 @@ def greco_bar(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_pre
     reference: Mapping[str, object] = {}
     if isinstance(law, am.Frictionless) and top_pressure > 0:
         reference = _patch_test(material, top_pressure, side_pressure, size)
-    elif parameters == _DEFAULTS and isinstance(law, am.Coulomb) and not callable(law.friction) and law.friction == 1.0:
+    elif parameters == _DEFAULTS and constant_friction(law) == 1.0:
         reference = _REFERENCE
     return am.ContactProblem(
         name="GRECO bar", material=material, domain=am.Rectangle(width=size, height=size),
@@ -155,16 +162,9 @@ def greco_block(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_p
         supports=(am.Support("right", x=0.0), *(am.Support(face, y=0.0) for face in held)), reference=reference)
 
 
-@dataclass(frozen=True)
-class ParabolicGap:
-    """The gap (position - x)^2 / (2 radius); a class, so that problems can be pickled."""
-
-    position: float  # x at which the obstacle touches, m
-    radius: float  # radius of curvature, m
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Gaps (n,) at points (n, dim), m."""
-        return (self.position - points[:, 0])**2 / (2 * self.radius)
+def _parabolic_gap(position: float, radius: float, points: np.ndarray) -> np.ndarray:
+    """Gaps (n,) at points (n, dim), m, to an obstacle that touches at x = position."""
+    return (position - points[:, 0])**2 / (2 * radius)
 
 
 def curved_obstacle(*, law: Law = am.Frictionless(), radius: float = 10.0, top_pressure: float = 5e7,  # noqa: B008
@@ -195,7 +195,7 @@ def curved_obstacle(*, law: Law = am.Frictionless(), radius: float = 10.0, top_p
     default = (isinstance(law, am.Frictionless) and (radius, top_pressure, side_pressure, young, poisson, size)
                == (10.0, 5e7, 15e7, 1.3e11, 0.2, 40e-3))
     reference = {"touching": {32: 17}, "sources": {"touching": "direct active-set solve"}} if default else {}
-    gap = ParabolicGap(position=float(size), radius=checks.quantity("radius", radius, positive=True))
+    gap = partial(_parabolic_gap, float(size), checks.quantity("radius", radius, positive=True))
     return replace(bar, name="curved obstacle", contact=am.Contact("bottom", am.GapFunction(gap)), reference=reference)
 
 
@@ -228,7 +228,7 @@ def upset_block(*, law: Law = am.Coulomb(0.5), top_pressure: float = 5e7, young:
     problem = greco_bar(law=law, top_pressure=top_pressure, side_pressure=0.0, young=young, poisson=poisson, size=size)
     exponent = _EXPONENTS.get(poisson)
     reference = {}
-    if exponent is not None and isinstance(law, am.Coulomb) and not callable(law.friction) and law.friction == 0.5:
+    if exponent is not None and constant_friction(law) == 0.5:
         reference = {"exponent": exponent, "uniform_rate": exponent / 2,
                      "sources": {"exponent": "characteristic equation of the clamped-free 90 degree corner"}}
     return replace(problem, name="upset block", reference=reference)
@@ -273,8 +273,7 @@ def dovetail(*, law: Law = am.Coulomb(0.2), angle: float = 50.0, pull: float = 1
     angle = _checked_angle(angle)
     pull, clamp = checks.quantity("pull", pull), checks.quantity("clamp", clamp)
     reference: Mapping[str, object] = {"remark": _JOINT_REMARK}
-    default = isinstance(law, am.Coulomb) and not callable(law.friction) and law.friction == 0.2
-    if default and parameters == _JOINT_DEFAULTS:
+    if constant_friction(law) == 0.2 and parameters == _JOINT_DEFAULTS:
         reference = _JOINT_REFERENCE
     return am.ContactProblem(
         name="dovetail", material=am.PlaneStrain(young=young, poisson=poisson),

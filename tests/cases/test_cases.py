@@ -175,15 +175,17 @@ def test_hertz_ball_in_3d():
 
 
 def test_hertz_forms():
-    line = cases.LineContact(load=2.0, radius=3.0, modulus=5.0)
+    line = cases.HertzContact(load=2.0, radius=3.0, modulus=5.0)
     x = np.linspace(-line.half_width, line.half_width, 20001)
     assert np.trapezoid(line.pressure(x), x) == pytest.approx(2.0, rel=1e-5)
     assert line.peak == pytest.approx(line.modulus * line.half_width / (2 * line.radius))
-    point = cases.PointContact(load=2.0, radius=3.0, modulus=5.0)
+    point = cases.HertzContact(load=2.0, radius=3.0, modulus=5.0, point=True)
     r = np.linspace(0, point.half_width, 20001)
     assert np.trapezoid(2 * np.pi * r * point.pressure(r), r) == pytest.approx(2.0, rel=1e-5)
     assert point.peak == pytest.approx(2 * 5.0 * point.half_width / (np.pi * 3.0))
-    assert 4 / 3 * 5.0 * 3.0**0.5 * point.approach**1.5 == pytest.approx(2.0)
+    sphere = cases.hertz_sphere().reference
+    form = sphere["closed_form"]
+    assert 4 / 3 * form.modulus * form.radius**0.5 * sphere["approach"]**1.5 == pytest.approx(form.load)
 
 
 def test_cattaneo_partial_slip():
