@@ -27,7 +27,6 @@ from adaptmg.multigrid.corrections import (
     sliding_limit,
 )
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact
 
 
@@ -131,7 +130,7 @@ class MultigridCycle:
         """Return b - A w on a level (n_dofs,), one pass."""
         system = self.levels[level].system
         self.recorder.count(1, system.nonzeros)
-        return residual(system, load, unknowns)
+        return load - system.matrix @ unknowns
 
     def solve_coarsest(self, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:
         if self.condensed is None:

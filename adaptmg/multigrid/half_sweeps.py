@@ -17,8 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from adaptmg._numba import kernel
-from adaptmg.smoother.blocks import add, in_loop, inner, read, scale, subtract, times, write
-from adaptmg.smoother.kernels import minus_row
+from adaptmg.smoother.blocks import add, in_loop, inner, minus_row, read, scale, subtract, times, write
 
 
 @kernel

@@ -27,7 +27,9 @@ from adaptmg.smoother.blocks import (
     add,
     inner,
     inverse_square,
+    minus_row,
     minus_times,
+    minus_transposed_row,
     multiply,
     negative,
     read,
@@ -37,7 +39,6 @@ from adaptmg.smoother.blocks import (
     transposed_times,
     write,
 )
-from adaptmg.smoother.kernels import minus_row, minus_transposed_row
 from adaptmg.smoother.node_solve import read_reference, solve
 
 ONE = np.uint64(1)

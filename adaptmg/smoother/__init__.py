@@ -1,7 +1,6 @@
 """The projected block Gauss-Seidel smoother: numba kernels on arrays, and one thin wrapper."""
 
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.smoother.residuals import natural_residual, residual
 from adaptmg.smoother.system import (
     OPEN,
     SLIP,
@@ -14,7 +13,7 @@ from adaptmg.smoother.system import (
 )
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactState", "LocalProblem", "LocalSystem", "NodalContact",
-           "ProjectedGaussSeidel", "Smoother", "local_system", "natural_residual", "residual"]
+           "ProjectedGaussSeidel", "Smoother", "local_system"]
 
 
 def __dir__() -> list[str]:

@@ -200,3 +200,28 @@ def inverse_square(blocks, at, v):
     return (c_00 * v[0] * v[0] + c_11 * v[1] * v[1] + c_22 * v[2] * v[2]
             + 2.0 * (c_01 * v[0] * v[1] + c_02 * v[0] * v[2] + c_12 * v[1] * v[2])) / determinant
 
+
+@in_loop
+def minus_row(i, step, indptr, indices, data, w, r):
+    """Return r minus row i of a matrix (or half of one) times w. ``step``, 1 or -1, is the direction in which the
+    matrix is read."""
+    dim = np.uint64(len(r))
+    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    first = begin if step > 0 else end - np.int64(1)
+    for entry in range(end - begin):
+        k = np.uint64(first + step * entry)
+        r = subtract(r, times(data, dim * dim * k, read(w, dim * np.uint64(indices[k]), r)))
+    return r
+
+
+@in_loop
+def minus_transposed_row(i, step, indptr, indices, data, d, w):
+    """Subtract the transpose of row i of a half times d from w, in place."""
+    dim = np.uint64(len(d))
+    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    first = begin if step > 0 else end - np.int64(1)
+    for entry in range(end - begin):
+        k = np.uint64(first + step * entry)
+        j = dim * np.uint64(indices[k])
+        # all is read before anything is written: the compiler cannot know that w is none of the other arrays
+        write(w, j, subtract(read(w, j, d), transposed_times(data, dim * dim * k, d)))

@@ -1,11 +1,15 @@
 r"""ProjectedGaussSeidel: block Gauss-Seidel / SOR with the exact contact problem solved at each contact node.
 
-The paper's smoother (a relaxation with projection onto the contact and friction conditions). One step takes the node's
-block of unknowns to the minimum of the functional over that block (omega = 1), in the metric :math:`D/\omega` in
-general; see :mod:`adaptmg.smoother.node_solve`.
+The paper's smoother (a relaxation with projection onto the contact and friction conditions). A sweep visits the nodes
+in order; with the residual :math:`r_i = b_i - \sum_j A_{ij} w_j` and D the diagonal block
 
-Coulomb's bound :math:`\mu p` follows the iterate inside each node solve (the diagonal process). Over-relaxed sweeps may
-then cycle (from omega = 1.65 on).
+.. math:: w_i \leftarrow w_i + \omega D^{-1} r_i
+
+away from contact, and at a contact node w_i becomes the solution of :mod:`adaptmg.smoother.node_solve` with
+:math:`M = D/\omega`, :math:`c = r_i + M w_i`: the minimum of the functional over that block (omega = 1), in the metric
+M in general. For Tresca's law and :math:`0 < \omega < 2` no step can raise the energy. Coulomb's bound :math:`\mu p`
+follows the iterate inside each node solve (the diagonal process). Over-relaxed sweeps may then cycle (from omega = 1.65
+on).
 """
 
 from __future__ import annotations
@@ -16,9 +20,20 @@ from typing import Literal, Protocol
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.smoother import kernels
-from adaptmg.smoother.blocks import ZERO
-from adaptmg.smoother.residuals import check
+from adaptmg._numba import inner_kernel, kernel
+from adaptmg.smoother.blocks import (
+    ZERO,
+    add,
+    minus_row,
+    over,
+    plus_symmetric,
+    read,
+    scale,
+    times,
+    upper,
+    write,
+)
+from adaptmg.smoother.node_solve import read_reference, solve
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
 _DIRECTIONS = {"forward": (1,), "backward": (-1,), "symmetric": (1, -1)}
@@ -79,13 +94,54 @@ class ProjectedGaussSeidel:
         float
             Passes over the matrix: 1 a sweep (symmetric: 2).
         """
-        check(system, checks.instance("contact", contact, NodalContact), load=load, unknowns=unknowns)
+        _check(system, checks.instance("contact", contact, NodalContact), load=load, unknowns=unknowns)
         if not unknowns.flags.writeable:
             raise ValueError("unknowns is read-only but is changed in place: pass unknowns.copy()")
         steps = _DIRECTIONS[self.order] * checks.integer("sweeps", sweeps)
         for step in steps:
-            kernels.sweep(ZERO[system.dim], 0 if step > 0 else system.n_nodes - 1, step, system.indptr, system.indices,
-                          system.data, system.diagonal, system.inverse, system.contact_of, contact.gap,
-                          contact.slip_reference.reshape(-1), contact.limit, contact.friction, load, unknowns,
-                          self.omega)
+            _sweep(ZERO[system.dim], 0 if step > 0 else system.n_nodes - 1, step, system.indptr, system.indices,
+                   system.data, system.diagonal, system.inverse, system.contact_of, contact.gap,
+                   contact.slip_reference.reshape(-1), contact.limit, contact.friction, load, unknowns, self.omega)
         return float(len(steps))
+
+
+def _check(system: LocalSystem, contact: NodalContact, **vectors: np.ndarray) -> None:
+    """Raise unless ``vectors`` (n_dofs,) and the arrays of ``contact`` are as the kernel, which checks nothing, reads
+    them: contiguous float64 arrays that fit ``system``."""
+    expected = {name: (value, (system.n_dofs,)) for name, value in vectors.items()}
+    n = len(system.nodes)
+    expected |= {f"contact.{name}": (getattr(contact, name), (n,)) for name in ("gap", "limit", "friction")}
+    expected["contact.slip_reference"] = contact.slip_reference, (n, system.dim - 1)
+    for name, (value, shape) in expected.items():
+        if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+            kind = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+            raise TypeError(f"{name} must be a numpy array of float64, got {kind}")
+        if value.shape != shape:
+            raise ValueError(f"{name} must have shape {shape}, got {value.shape}")
+        if not value.flags.c_contiguous:
+            raise ValueError(f"{name} must be contiguous: pass numpy.ascontiguousarray({name})")
+
+
+@inner_kernel(forceinline=True)
+def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, w, omega, r):
+    """The new unknowns of a contact node from its residual."""
+    dim = np.uint64(len(r))
+    m = over(upper(diagonal, dim * dim * i, r), omega)
+    return solve(m, plus_symmetric(r, m, read(w, dim * i, r)), gap[contact], read_reference(reference, contact, r),
+                 limit[contact], friction[contact])
+
+
+@kernel
+def _sweep(zero, first, step, indptr, indices, data, diagonal, inverse, contact_of, gap, reference, limit, friction,
+           load, w, omega):
+    """Sweep over all nodes, changing ``w``: ``first, step`` are 0, 1 (forward) or n_nodes - 1, -1 (backward)."""
+    dim = np.uint64(len(zero))
+    for k in range(len(contact_of)):
+        i = np.uint64(first + k * step)
+        at = dim * i
+        r = minus_row(i, step, indptr, indices, data, w, read(load, at, zero))
+        if contact_of[i] < 0:
+            write(w, at, add(read(w, at, zero), scale(omega, times(inverse, dim * at, r))))
+        else:
+            write(w, at, _contact_solve(i, np.uint64(contact_of[i]), diagonal, gap, reference, limit, friction, w,
+                                        omega, r))

@@ -119,6 +119,10 @@ class LocalProblem:
     frames: np.ndarray  # (n_contact, dim, dim): rows normal, tangents
     discrete: DiscreteProblem  # the problem in Cartesian components
 
+    def residual(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return b - A w (n_dofs,), N, contact forces included."""
+        return self.load - self.system.matrix @ unknowns
+
     def to_local(self, displacement: np.ndarray) -> np.ndarray:
         """Return the local unknowns (n_dofs,) of a Cartesian displacement (n_nodes, dim) or (n_dofs,)."""
         w = rotate(self.discrete.from_prescribed(displacement), self.frames, self.system.nodes)

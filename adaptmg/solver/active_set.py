@@ -1,7 +1,7 @@
 """ActiveSet: the semismooth Newton method, from a given start or from an interior point.
 
 A step decides the status of every contact node and linearises its conditions
-(:mod:`adaptmg.smoother.newton_rows`); the equations are solved on the dense Schur complement of the contact dofs or on
+(:mod:`adaptmg.smoother.conditions`); the equations are solved on the dense Schur complement of the contact dofs or on
 the sparse matrix. Their right-hand side is the residual of the full matrix, so that every step is one of iterative
 refinement, too.
 """
@@ -20,11 +20,10 @@ from adaptmg.discrete.coordinates import rotate
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.augmented import Augmented
+from adaptmg.smoother.conditions import Linearised, hold_all, linearise
 from adaptmg.smoother.factorisation import Condensed, condense, condense_problem
 from adaptmg.smoother.interior_point import ContactDofs, Interior, Span, interior_point
 from adaptmg.smoother.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
-from adaptmg.smoother.newton_rows import Linearised, hold_all, linearise
-from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.iterate import Measure, State, StopTest, iterate
 from adaptmg.solver.record import Outcome, Run, Status
@@ -247,7 +246,7 @@ class _Newton:
 
     def _residual(self) -> np.ndarray:
         self.run.count(1, self.local.system.nonzeros)
-        return residual(self.local.system, self.local.load, self.unknowns)
+        return self.local.residual(self.unknowns)
 
     def _decide(self, residual: np.ndarray, hold: bool) -> None:
         system, contact, forces = self.local.system, self.local.contact, self.equations_of.contact_residual(residual)

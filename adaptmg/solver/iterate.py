@@ -17,7 +17,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.smoother.residuals import natural_residual
+from adaptmg.smoother.conditions import natural_residual
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
 from adaptmg.solver.record import Run, Status
@@ -258,7 +258,7 @@ class Measure:
                  **columns: float) -> State:
         """The state of an iterate and its residual r = b - A w (n_dofs,)."""
         system, sizes = self.local.system, self.sizes
-        natural = euclidean_norm(natural_residual(system, self.local.contact, self.local.load, unknowns, r))
+        natural = euclidean_norm(natural_residual(self.local, unknowns, r))
         reactions = r.reshape(-1, system.dim)[system.nodes]
         forces = sizes.forces(unknowns, euclidean_norm(reactions.reshape(-1)))
         size = sizes.norm(unknowns, float(np.einsum("i,i->", unknowns, self.local.load - r)))

@@ -24,7 +24,6 @@ from adaptmg.multigrid.cycle import (
 )
 from adaptmg.smoother.factorisation import Condensed, condense
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, StopTest, WholeSteps, iterate
@@ -280,7 +279,7 @@ class _Sweeps(Smoothing):
 
     def residual(self) -> np.ndarray:
         self.run.count(1, self.problem.system.nonzeros)
-        return residual(self.problem.system, self.problem.load, self.unknowns)
+        return self.problem.residual(self.unknowns)
 
     def correct(self, r: np.ndarray) -> int:
         return 0

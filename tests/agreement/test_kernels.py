@@ -13,7 +13,7 @@ from uncompiled import uncompile
 import adaptmg as am
 from adaptmg.mesh import bisect, graded, sized
 from adaptmg.mesh.improve import halved, improved
-from adaptmg.smoother.residuals import natural_residual
+from adaptmg.smoother.conditions import natural_residual
 from adaptmg.transfer import surface_interpolation
 
 HOLED = am.Cut(am.Circle((0, 0), 1, "outer"), am.Circle((0.45, 0), 0.54, "inner"))
@@ -48,7 +48,7 @@ def smoothed(dim, law):
     w = np.random.default_rng(9).normal(size=problem.system.n_dofs) * ~problem.system.fixed
     am.ProjectedGaussSeidel(omega=1.2, order="symmetric").smooth(
         problem.system, problem.contact, problem.load, w, 4)
-    return w, natural_residual(problem.system, problem.contact, problem.load, w)
+    return w, natural_residual(problem, w, problem.residual(w))
 
 
 def bisected(mesh):

@@ -13,7 +13,7 @@ from adaptmg import _threads as threads
 from adaptmg.mesh.structured import structured
 from adaptmg.multigrid import half_sweeps
 from adaptmg.multigrid.split_matrix import split
-from adaptmg.smoother import kernels
+from adaptmg.smoother import blocks
 from adaptmg.smoother import strips as strips_module
 
 
@@ -56,7 +56,7 @@ def test_strips_of_a_colour_have_no_common_neighbour(dim, seed):
 @pytest.mark.parametrize("seed", [None, 1])
 def test_a_sweep_over_strips_is_gauss_seidel_in_their_order(seed, compiled, monkeypatch):
     if not compiled:
-        uncompile(monkeypatch, half_sweeps, kernels)
+        uncompile(monkeypatch, half_sweeps, blocks)
     am.set_threads(2)
     matrix = shuffled(2, seed)
     halves, f = split(matrix, np.zeros(matrix.shape[0], dtype=bool)), np.random.default_rng(0).normal(size=882)

@@ -11,9 +11,8 @@ from smoother_problems import network
 import adaptmg as am
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.structured import structured
+from adaptmg.smoother.conditions import linearise
 from adaptmg.smoother.factorisation import condense
-from adaptmg.smoother.newton_rows import linearise
-from adaptmg.smoother.residuals import residual
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.active_set import CondensedSteps, SparseSteps, local_near_nullspace
 from adaptmg.solver.record import Run
@@ -121,7 +120,7 @@ def test_slenderness_costs_neither_steps_nor_cycles(slenderness, law):
 def alart_curnier(local: LocalProblem, unknowns: np.ndarray, stiffness: np.ndarray, factor: float) -> np.ndarray:
     """The contact conditions as equations, all zero at the solution, beside the residual away from contact."""
     contact, nodes = local.contact, local.system.nodes
-    defect = residual(local.system, local.load, unknowns).reshape(-1, local.system.dim)
+    defect = local.residual(unknowns).reshape(-1, local.system.dim)
     w, q = unknowns.reshape(defect.shape)[nodes], defect[nodes]
     z_n = q[:, 0] + factor * stiffness[:, 0] * (w[:, 0] - contact.gap)
     z_t = q[:, 1:] + factor * stiffness[:, 1:].max(axis=1, keepdims=True) * (w[:, 1:] - contact.slip_reference)
@@ -146,7 +145,7 @@ def test_a_step_is_newtons(dim, law):
             equations = None
             for _ in range(2 if isinstance(steps, CondensedSteps) else 1):
                 unknowns = unknowns if equations is None else unknowns + steps.solve(equations)
-                defect, at = residual(local.system, local.load, unknowns), local.system.nodes
+                defect, at = local.residual(unknowns), local.system.nodes
                 steps.contact_residual(defect)
                 equations = linearise(local.contact, unknowns.reshape(-1, dim)[at], defect.reshape(-1, dim)[at],
                                       steps.stiffness, 0.1)

@@ -1,4 +1,13 @@
-r"""Linearised contact conditions, node by node.
+r"""Contact conditions as equations: the natural residual, the states of nodes, and Newton's linearisation.
+
+With r = b - A w, the force on the body at a contact node is -r, and p = max(0, r_n) its compressive magnitude. The
+natural residual
+
+.. math:: D\,(\mathrm{prox}_D(w - D^{-1}(A w - b)) - w)
+
+with D the block diagonal of A and :math:`\mathrm{prox}_D` the exact node solve of
+:mod:`adaptmg.smoother.node_solve` in the metric D, its bound held at :math:`s + \mu\,p(w)`, is a force. It vanishes
+exactly at the solution, Coulomb's law included; away from contact it is r.
 
 With q = b - A w (minus the force on the body), the slip :math:`\tau` and factors :math:`c_n, c_t > 0` (N/m)
 the contact conditions are the equations (P. Alart, A. Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991,
@@ -27,7 +36,48 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg.smoother.system import NodalContact, contact_codes
+from adaptmg._numba import kernel
+from adaptmg.smoother.blocks import ZERO, read, upper, write
+from adaptmg.smoother.node_solve import natural_at, read_reference
+from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, contact_states
+
+
+def natural_residual(local: LocalProblem, unknowns: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Return the natural residual (n_dofs,), N, of unknowns with the residual b - A w."""
+    dim, nodes = local.system.dim, local.system.nodes
+    result, blocks = residual.reshape(-1, dim).copy(), local.system.diagonal.reshape(-1, dim, dim)[nodes]
+    result[nodes] = natural_at_nodes(local.contact, blocks, unknowns.reshape(-1, dim)[nodes], result[nodes])
+    return result.reshape(-1)
+
+
+def natural_at_nodes(contact: NodalContact, blocks: np.ndarray, values: np.ndarray, linear: np.ndarray) -> np.ndarray:
+    """Return the natural residual (n_contact, dim), N, from diagonal blocks of contact nodes, unknowns and b - A w."""
+    result, dim = np.array(linear).reshape(-1), values.shape[1]
+    _natural_residual(ZERO[dim], np.ascontiguousarray(blocks).reshape(-1), contact.gap,
+                      contact.slip_reference.reshape(-1), contact.limit, contact.friction,
+                      np.ascontiguousarray(values).reshape(-1), result)
+    return result.reshape(-1, dim)
+
+
+@kernel
+def _natural_residual(zero, diagonal, gap, reference, limit, friction, w, result):
+    """Write D (prox_D(w + D^-1 r) - w) to ``result``, which comes as r = b - A w."""
+    dim = np.uint64(len(zero))
+    for node in range(len(gap)):
+        k = np.uint64(node)
+        r = read(result, dim * k, zero)
+        write(result, dim * k, natural_at(
+            upper(diagonal, dim * dim * k, zero), r, read(w, dim * k, zero), gap[k],
+            read_reference(reference, k, zero), limit[k] + friction[k] * max(r[0], 0.0)))
+
+
+def states(contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, small: float) -> np.ndarray:
+    """Return the :class:`~adaptmg.smoother.system.ContactState` (n_contact,) int8 of unknowns (n_contact, dim) and p.
+    OPEN where there is a gap, or no compressive force; otherwise STICK where the slip is zero and the bound s + mu p is
+    positive, and SLIP elsewhere. A gap or slip up to ``small`` (m) counts as zero."""
+    slip = np.linalg.norm(values[:, 1:] - contact.slip_reference, axis=1)
+    held = (slip <= small) & (contact.limit + contact.friction * normal_force > 0)
+    return contact_states(contact_codes(~(contact.gap - values[:, 0] > small), held), normal_force)
 
 
 @dataclass(frozen=True, eq=False)
