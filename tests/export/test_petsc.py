@@ -143,7 +143,7 @@ DENSE[4:8] = 0.0
     sparse.csr_array((np.arange(4.0), [1, 0, 1, 0], [0, 3, 4]), shape=(2, 2))])
 def test_any_matrix_comes_back_in_order_and_stays(tmp_path, made):
     before = made.copy()
-    (tmp_path / "A").write_bytes(petsc_files.matrix("A", made))
+    (tmp_path / "A").write_bytes(petsc_files.content("A", made))
     np.testing.assert_array_equal(read(tmp_path / "A").toarray(), before.toarray())
     for name in {"data", "indices", "row"} & set(vars(made)):
         np.testing.assert_array_equal(getattr(made, name), getattr(before, name))
@@ -152,38 +152,21 @@ def test_any_matrix_comes_back_in_order_and_stays(tmp_path, made):
 def test_more_nonzeros_than_petsc_counts_are_refused(tmp_path, bar, monkeypatch):
     assert petsc_files.LARGEST == 2**31 - 1
     monkeypatch.setattr(petsc_files, "LARGEST", bar.finest.discrete.matrix.nnz - 1)
-    with pytest.raises(ValueError, match=r"level1_matrix has \d+ nonzeros, more than the \d+ that PETSc counts"):
+    with pytest.raises(ValueError, match=r"level1_matrix has \d+ values, more than the \d+ that PETSc counts"):
         am.export.petsc(bar, tmp_path / "out")
     assert not list(tmp_path.iterdir())
 
 
-def test_an_older_export_is_replaced_and_anything_else_is_left(tmp_path, bar):
-    target, bare = tmp_path / "out", bar[0].discrete
-    am.export.petsc(bar, target)
-    am.export.petsc(bare, target)
-    assert not list(target.glob("level1*")) and len(list(tmp_path.iterdir())) == 1
-    (target / "mine.txt").write_text("kept")
-    before = {path.name: path.read_bytes() for path in target.iterdir()}
-    with pytest.raises(FileExistsError, match="holds other files than an unchanged older export"):
-        am.export.petsc(bar, target)
-    assert {path.name: path.read_bytes() for path in target.iterdir()} == before
-    (target / "mine.txt").unlink()
-    changed = target / "level0_load.petsc"
-    changed.write_bytes(changed.read_bytes() + b"mine")
-    with pytest.raises(FileExistsError):
-        am.export.petsc(bar, target)
-    assert changed.read_bytes().endswith(b"mine")
-    (tmp_path / "empty").mkdir()
-    am.export.petsc(bare, tmp_path / "empty")
-    (tmp_path / "damaged").mkdir()
-    (tmp_path / "damaged" / "manifest.json").write_text("[1]")
-    with pytest.raises(FileExistsError):
-        am.export.petsc(bare, tmp_path / "damaged")
-
-
-def test_a_full_disk_leaves_the_folder_unchanged(tmp_path, bar, monkeypatch):
+def test_a_folder_is_new_or_empty(tmp_path, bar):
+    (tmp_path / "out").mkdir()
     am.export.petsc(bar[0].discrete, tmp_path / "out")
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    with pytest.raises(FileExistsError, match="must be a new or empty folder"):
+        am.export.petsc(bar, tmp_path / "out")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+def test_a_full_disk_leaves_nothing(tmp_path, bar, monkeypatch):
     calls, write = [], petsc_files.write_bytes
 
     def failing(path, content):
@@ -193,18 +176,15 @@ def test_a_full_disk_leaves_the_folder_unchanged(tmp_path, bar, monkeypatch):
         write(path, content)
 
     monkeypatch.setattr(petsc_files, "write_bytes", failing)
-    for name in ("out", "new"):
-        calls.clear()
-        with pytest.raises(OSError, match="No space"):
-            am.export.petsc(bar, tmp_path / name)
-    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    with pytest.raises(OSError, match="No space"):
+        am.export.petsc(bar, tmp_path / "out")
+    assert not list(tmp_path.iterdir())
 
 
 def test_bad_arguments_are_refused(tmp_path, bar):
     (tmp_path / "file").write_text("x")
     for problem, target, error, message in (
             (bar.finest.discrete.matrix, "out", TypeError, "problem must be a Hierarchy or a DiscreteProblem"),
-            (bar, "nowhere/out", FileNotFoundError, "nowhere"), (bar, "file", NotADirectoryError, "is a file")):
+            (bar, "nowhere/out", FileNotFoundError, "nowhere"), (bar, "file", FileExistsError, "new or empty")):
         with pytest.raises(error, match=message):
             am.export.petsc(problem, tmp_path / target)
