@@ -13,17 +13,17 @@ import os
 import platform
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 from urllib.parse import quote
 
 import matplotlib
 import matplotlib.pyplot as plt
-import numpy as np
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup, escape
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -37,10 +37,6 @@ from adaptmg.study.tables import cells, numeric
 _BLANK = re.compile(r"[ \t\n\v\f\r]+")
 #: marks that override the direction of writing
 _TURNS = re.compile("[\u202a-\u202e]")
-#: a number such as 1e-6, which browsers break after the minus
-_SMALL = re.compile(r"[\d.]+e-\d+")
-#: the end of a sentence: a full stop after two characters of a word or a bracket, then a capital
-_SENTENCE = re.compile(r"(?<=[\w)%'\"]{2}[.!?])\s+(?=[A-Z'\"])")
 #: words joined by underscores, but not a symbol with an index such as u_n
 _IDENTIFIER = re.compile(r"(?![A-Za-z]_[A-Za-z0-9]$)[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)+")
 _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
@@ -57,16 +53,6 @@ def _text(name: str, value: str, empty: bool = True) -> str:
 def one_line(text: object) -> str:
     """Return a text in one line; control characters and marks that override the direction become codes."""
     return _TURNS.sub(lambda match: f"\\u{ord(match[0]):04x}", printable(_BLANK.sub(" ", str(text)).strip()))
-
-
-def lead(text: str, limit: int) -> tuple[str, str]:
-    """Return whole sentences of about ``limit`` characters, and the rest; a short rest is not separated."""
-    if len(text) > 1.3 * limit:
-        for match in _SENTENCE.finditer(text):
-            if match.start() >= 0.5 * limit:
-                short = len(text) - match.end() < 0.3 * limit
-                return (text, "") if short else (text[:match.start()], text[match.end():])
-    return text, ""
 
 
 def worded(name: object, unit: str | None = None) -> tuple[str, str]:
@@ -86,23 +72,11 @@ def label(name: object, unit: str | None = None) -> str:
     return f"{words} [{unit}]" if unit else words
 
 
-def count(number: int) -> str:
-    """Return a whole number with separated thousands."""
-    return str(number) if number < 10_000 else f"{number:,}".replace(",", "\u202f")
-
-
 #: the largest number of rows that are shown
 LONGEST = 200
-#: a table with more columns states a column of equal values once
-_WIDE = 6
-#: the default format of floats, see :func:`adaptmg.study.as_text`
-_DEFAULT = ".4g"
-_GENERAL = re.compile(r"\.\d+g")
-_ZERO = re.compile(r"-?0(\.0*)?e\+00")
 
 
-@dataclass(frozen=True)
-class Column:
+class Column(NamedTuple):
     """A column of a table as texts: its name, its unit and its cells."""
 
     head: str
@@ -111,47 +85,20 @@ class Column:
     texts: list[str]
 
 
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """A table as the template takes it; ``same`` holds columns of equal values, which are stated once."""
-
-    caption: str
-    columns: list[Column]
-    rows: int
-    note: str = ""
-    open: bool = False
-    csv: str = ""
-    same: tuple[Column, ...] = ()
-
-    @property
-    def cells(self) -> list[tuple[str, ...]]:
-        """The texts of each row."""
-        return list(zip(*(column.texts for column in self.columns), strict=True))
-
-
 def columns_of(frame: pd.DataFrame, units: Mapping[str, str] | None = None,
                formats: Mapping[str, str] | None = None) -> list[Column]:
-    """Return the columns of a table; ValueError where units or formats name others. A format such as ``.4g`` drops
-    trailing zeros; a column with more digits than are shown keeps them."""
-    units, formats = dict(units or {}), dict(formats or {})
-    measured = {}
-    for name, column in frame.select_dtypes("float").items():
-        spec, values = formats.get(name) or _DEFAULT, column.dropna().to_numpy(float)
-        if _GENERAL.fullmatch(spec) and any(float(format(v, spec)) != v for v in values[np.isfinite(values)]):
-            measured[name] = f"#{spec}"
-    result = []
-    for (name, column), texts in zip(frame.items(), cells(frame, units, formats | measured)[1], strict=True):
-        if is_number := numeric(column):
-            texts = ["0" if _ZERO.fullmatch(text) else text.removesuffix("." * (name in measured)) for text in texts]
-        result.append(Column(*worded(name, units.get(name)), is_number, texts))
-    return result
+    """Return the columns of a table; ValueError where units or formats name others."""
+    return [Column(*worded(name, (units or {}).get(name)), numeric(column), texts)
+            for (name, column), texts in zip(frame.items(), cells(frame, units, formats)[1], strict=True)]
 
 
 def _table(frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None, formats: Mapping[str, str] | None,
-           **options: str | bool) -> _Table:
+           note: str = "", open: bool = False, csv: str = "") -> dict[str, object]:
     checks.instance("table", frame, pd.DataFrame, "a pandas DataFrame")
-    return _Table(_text("caption", caption, empty=False), columns_of(frame.head(LONGEST), units, formats), len(frame),
-                  **options)
+    columns = columns_of(frame.head(LONGEST), units, formats)
+    return {"caption": _text("caption", caption, empty=False), "columns": columns, "rows": len(frame),
+            "cells": list(zip(*(column.texts for column in columns), strict=True)), "note": note, "open": open,
+            "csv": csv}
 
 
 #: a drawing of more bytes as SVG becomes a PNG
@@ -160,8 +107,7 @@ DENSE = 60_000
 _ACROSS = 1200
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A picture: a data URI, its caption, and its preferred width in CSS pixels."""
 
     source: str
@@ -198,10 +144,6 @@ def small_png(figure: Figure, dpi: float = 130) -> bytes:
     return small.getvalue()
 
 
-#: characters of a text, a card and a note before they fold
-_IN_SIGHT, _IN_CARD, _IN_NOTE = 420, 360, 240
-
-
 @dataclass
 class _Section:
     """A section; its parts are pairs of a kind ('text', 'summary', 'table', 'pictures') and the part."""
@@ -215,18 +157,6 @@ def _paragraphs(text: str) -> list[str]:
     return [part for part in text.split("\n\n") if part.strip()]
 
 
-def _folding(text: str, limit: int) -> tuple[str, list[str]]:
-    """The visible sentences, and the folded paragraphs."""
-    first, *others = _paragraphs(text) or [""]
-    seen, rest = lead(one_line(first), limit)
-    return seen, [rest] * bool(rest) + others
-
-
-def _whole(text: object) -> Markup:
-    """A text as HTML in which small numbers are not broken."""
-    return Markup(_SMALL.sub(r'<span class="whole">\g<0></span>', str(escape(one_line(text)))))
-
-
 def _hash(script: str) -> str:
     """The hash of a script by which the page's policy knows it."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -235,9 +165,8 @@ def _hash(script: str) -> str:
 _PAGES = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined,
                      trim_blocks=True, lstrip_blocks=True,
                      finalize=lambda value: value if isinstance(value, Markup) else one_line(value))
-_PAGES.filters |= {"whole": _whole, "count": count, "folding": _folding, "paragraphs": _paragraphs, "quote": quote,
-                   "hash": _hash}
-_PAGES.globals |= {"LONGEST": LONGEST, "IN_SIGHT": _IN_SIGHT, "IN_CARD": _IN_CARD, "IN_NOTE": _IN_NOTE}
+_PAGES.filters |= {"paragraphs": _paragraphs, "quote": quote, "hash": _hash}
+_PAGES.globals |= {"LONGEST": LONGEST}
 
 
 def _made() -> dict[str, str]:
@@ -252,8 +181,8 @@ def _made() -> dict[str, str]:
 class Report:
     """An HTML page; what is added appears in order.
 
-    All text is escaped; a blank line in a text begins a new paragraph, and a long text folds behind its first
-    sentences. Tables sort by their headers, where the reader's browser runs scripts.
+    All text is escaped; a blank line in a text begins a new paragraph, and all but the first fold. Tables sort by
+    their headers, where the reader's browser runs scripts.
 
     Parameters
     ----------
@@ -305,7 +234,7 @@ class Report:
         self.text(text)
 
     def text(self, text: str) -> None:
-        """Add paragraphs; a long text folds behind its first sentences."""
+        """Add paragraphs, of which all but the first fold."""
         self._add("text", _text("text", text))
 
     def table(self, table: pd.DataFrame, caption: str, note: str = "", *, units: Mapping[str, str] | None = None,
@@ -320,12 +249,8 @@ class Report:
         file = PurePosixPath(_text("csv", csv))
         if file.is_absolute() or ".." in file.parts or ":" in csv or "\\" in csv:
             raise ValueError(f"csv must name a file next to the page, got {checks.shown(csv)}")
-        made = _table(table, caption, units, formats, note=_text("note", note), csv=csv,
-                      open=checks.flag("open", open) or first)
-        if len(made.columns) > _WIDE and 3 <= made.rows <= LONGEST:
-            same = tuple(column for column in made.columns[1:] if len(set(column.texts)) == 1)
-            made = replace(made, columns=[column for column in made.columns if column not in same], same=same)
-        self._add("table", made)
+        self._add("table", _table(table, caption, units, formats, _text("note", note),
+                                  checks.flag("open", open) or first, csv))
 
     def figure(self, figure: Figure | Picture, caption: str) -> None:
         """Add a figure in its present state; pyplot then drops it (an open figure costs memory).

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,9 @@ from matplotlib.figure import Figure
 from pandas.api import types
 
 from adaptmg import _checks as checks
-from adaptmg.export.report import LONGEST, Report, count, label, worded
+from adaptmg.export.report import LONGEST, Report, label, worded
 from adaptmg.plot.style import CYCLE, label_plainly, plain, styled
 
-#: columns of a study that are neither parameters nor results, and the status of runs that are drawn
-_STATUS, _ERROR, _DONE = "status", "error", "done"
 #: the largest number of characters of a text in a table, lines in a picture, marks in a line, names along an axis
 _LETTERS, _LINES, _MARKED, _NAMES = 300, 7, 60, 40
 #: an axis is logarithmic where the largest value is at least this multiple of the least
@@ -64,33 +63,33 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     checks.instance("table", table, pd.DataFrame, "a pandas DataFrame")
     parameters = _columns("parameters", parameters, table)
     units = {"seconds": "s"} | dict(units or {})
-    done = table[table[_STATUS] == _DONE] if _STATUS in table else table
-    varied = [name for name in done if name not in (*parameters, _STATUS, _ERROR)
+    done = table[table["status"] == "done"] if "status" in table else table
+    varied = [name for name in done if name not in (*parameters, "status", "error")
               and (values := numbers(done[name])) is not None and values.nunique() > 1]
     drawn = varied[:2] if results is None else _columns("results", results, table)
     for name in drawn:
         if len(done) and numbers(done[name]) is None:
             raise ValueError(f"results: column {name!r} holds no numbers to draw, got "
                              f"{checks.shown(done[name].iloc[0])} in its first row")
-    page = Report(str(table.attrs.get("study") or "Study"), f"{_counted(table)} {summary}".strip())
+    counts = table["status"].value_counts() if "status" in table else {}
+    counted = ", ".join([f"{len(table):,} runs", *(f"{n:,} {status}" for status, n in counts.items())])
+    page = Report(str(table.attrs.get("study") or "Study"), f"{counted}. {summary}".strip())
 
     def add(frame: pd.DataFrame, caption: str, **options: str | bool) -> None:
-        frame = frame.copy()
-        for name in frame.select_dtypes(exclude="number"):
-            frame[name] = pd.Series([_cut(value) for value in frame[name]], frame.index, dtype=object)
-        page.table(frame, caption, units={k: v for k, v in units.items() if k in frame}, **options)
+        cut = frame.map(lambda value: f"{value[:_LETTERS]} ..." if isinstance(value, str) and len(value) > _LETTERS
+                        else value)
+        page.table(cut, caption, units={k: v for k, v in units.items() if k in frame}, **options)
 
     page.section("Results")
     axis = axes_of_study(done, parameters) if len(done) else None
     for result in drawn if axis else ():
         page.figure(curves(done, axis, result, units.get(result, ""), units.get(axis.along, "")),
                     caption(axis, result))
-    add(table.drop(columns=[_ERROR], errors="ignore"), "All runs", csv=csv, open=True)
-    failed = table.loc[table.index.difference(done.index, sort=False)]
-    failed = failed[failed[_ERROR].fillna("").astype(str) != ""] if _ERROR in table else failed.head(0)
+    add(table.drop(columns="error", errors="ignore"), "All runs", csv=csv, open=True)
+    failed = table[table["error"].fillna("").astype(str) != ""] if "error" in table else table.head(0)
     if len(failed):
         page.section("Runs that failed")
-        add(failed[[*parameters, _ERROR]], "Errors", csv=csv if len(failed) > LONGEST else "")
+        add(failed[[*parameters, "error"]], "Errors", csv=csv if len(failed) > LONGEST else "")
     if fixed := table.attrs.get("fixed"):
         page.made(fixed_parameters=", ".join(f"{key} = {value}" for key, value in fixed.items()))
     page.made(**{str(key): str(value) or "-" for key, value in (made or {}).items()})
@@ -106,17 +105,6 @@ def _columns(name: str, columns: Sequence[str], table: pd.DataFrame) -> list[str
     return list(columns)
 
 
-def _counted(table: pd.DataFrame) -> str:
-    """The number of runs, by status."""
-    by_status = table[_STATUS].astype(str).value_counts() if _STATUS in table and len(table) else {}
-    states = ", ".join(f"{count(n)} {status}" for status, n in by_status.items())
-    return f"{count(len(table))} runs{f': {states}' if states else ''}." if len(table) else "No runs."
-
-
-def _cut(value: object) -> object:
-    return f"{value[:_LETTERS]} ..." if isinstance(value, str) and len(value) > _LETTERS else value
-
-
 @dataclass(frozen=True)
 class Axis:
     """The parameter along the axis, the one of the lines ("" for none), and whether points are joined."""
@@ -129,13 +117,8 @@ class Axis:
 def numbers(column: pd.Series) -> pd.Series | None:
     """Return a column as floats if all its values that are not missing are numbers, else None."""
     present = column.dropna()
-    if present.empty or types.is_bool_dtype(present) or any(isinstance(v, bool | np.bool_ | str) for v in present):
-        return None
-    try:
-        values = pd.to_numeric(column)
-    except (TypeError, ValueError):
-        return None
-    return None if values.dtype.kind == "c" else values.astype(float)
+    plain_numbers = (isinstance(v, Real) and not isinstance(v, bool | np.bool_) for v in present)
+    return None if present.empty or not all(plain_numbers) else column.astype(float)
 
 
 def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:

@@ -27,7 +27,7 @@ def written(tmp_path, frame, **options) -> Page:
 
 def test_it_counts_draws_and_lists(tmp_path):
     page = written(tmp_path, table(), csv="runs.csv", summary="What <b> came out.", made={"commit": "abc"})
-    assert "smoothing <1>" in page.text("h1") and "12 runs: 11 done, 1 failed. What <b> came out." in page.text("p")
+    assert "smoothing <1>" in page.text("h1") and "12 runs, 11 done, 1 failed. What <b> came out." in page.text("p")
     drawn = [a["alt"] for a in page.all("img")]
     assert [name.split(",")[0] for name in drawn] == ["cycles against sweeps", "work units against sweeps"]
     assert len(page.all("details", "table")) == 2 and "runs.csv" in [a["href"] for a in page.all("a")]
@@ -41,7 +41,7 @@ def test_it_counts_draws_and_lists(tmp_path):
 def test_a_study_too_long_to_be_shown_says_what_came_out_of_all(tmp_path):
     frame = table(2000).assign(method="word " * 200)
     page = written(tmp_path, frame, csv="runs.csv", parameters=["sweeps", "friction"])
-    assert "12\u202f000 runs: 11\u202f999 done" in page.text("p") and "12\u202f000 rows" in page.text("span")
+    assert "12,000 runs, 11,999 done" in page.text("p") and "12,000 rows" in page.text("span")
     assert "All rows as CSV" in page.text("a") and len(page.all("details", "table")) == 2
     assert "word " * 30 in page.text("p", "td") and "word " * 70 not in page.text("p", "td")
     drawn = [a["alt"] for a in page.all("img")]
