@@ -1,5 +1,4 @@
-from .mesh_files import mesh as mesh
+from .mesh_files import mesh as mesh, vtk as vtk, vtk_series as vtk_series
 from .petsc_files import petsc as petsc
 from .report import Report as Report
 from .study_page import study_report as study_report
-from .vtu import vtk as vtk, vtk_series as vtk_series
