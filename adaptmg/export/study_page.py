@@ -76,9 +76,11 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     page = Report(str(table.attrs.get("study") or "Study"), f"{counted}. {summary}".strip())
 
     def add(frame: pd.DataFrame, caption: str, **options: str | bool) -> None:
-        cut = frame.map(lambda value: f"{value[:_LETTERS]} ..." if isinstance(value, str) and len(value) > _LETTERS
-                        else value)
-        page.table(cut, caption, units={k: v for k, v in units.items() if k in frame}, **options)
+        frame = frame.copy()
+        for name in frame.select_dtypes(exclude="number"):
+            frame[name] = pd.Series([f"{value[:_LETTERS]} ..." if isinstance(value, str) and len(value) > _LETTERS else
+                                     value for value in frame[name]], frame.index, dtype=object)
+        page.table(frame, caption, units={k: v for k, v in units.items() if k in frame}, **options)
 
     page.section("Results")
     axis = axes_of_study(done, parameters) if len(done) else None
