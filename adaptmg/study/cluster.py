@@ -49,6 +49,7 @@ from adaptmg._files import waiting_folder
 from adaptmg.study import execute
 from adaptmg.study.designs import Point
 from adaptmg.study.execute import Done, Execute, Finished, Order, RunFunction, Task, UnfitWorker
+from adaptmg.study.store import Record
 
 _log = logging.getLogger(__name__)
 
@@ -236,6 +237,11 @@ class _Run:
     worker: str = ""  # where it has begun, if there is a limit
     began: float = math.inf
 
+    def failed(self, error: str, tries: int, exception: BaseException | None = None) -> Finished:
+        """Return the outcome of a run that gave none."""
+        return Finished(Record(parameters=self.point, status="failed", error=error, tries=tries,
+                               seconds=time.monotonic() - self.sent), exception=exception)
+
 
 #: what stands for a point after the last one
 _END: Point = {}
@@ -261,7 +267,7 @@ class _Runs:
         try:
             self._send()
             while self._out or self._open:
-                done = [row for name, result in self._come_back() if (row := self._outcome(name, result)) is not None]
+                done = [run for name, result in self._come_back() if (run := self._outcome(name, result)) is not None]
                 # before the rows are stored, so that workers need not wait for the disk
                 self._send()
                 if done:
@@ -322,8 +328,7 @@ class _Runs:
             if name not in self._client.processing().get(run.worker, ()):
                 continue  # its worker died, and dask starts it again on another one, with a new clock
             # cancelled first, so that dask does not start it elsewhere
-            self._back.put((name, Finished(error=f"TimeLimit: stopped after limit_s={self._limit_s:g} s",
-                                           seconds=time.monotonic() - run.sent, tries=run.tries)))
+            self._back.put((name, run.failed(f"TimeLimit: stopped after limit_s={self._limit_s:g} s", run.tries)))
             self._client.cancel([run.future], force=True)
             self._client.run(_kill_worker, nanny=True, workers=[run.worker], on_error="ignore")
 
@@ -348,28 +353,26 @@ class _Runs:
                 results.append(self._back.get_nowait())
         return results
 
-    def _outcome(self, name: str, result: Finished | BaseException) -> tuple[Point, Finished] | None:
+    def _outcome(self, name: str, result: Finished | BaseException) -> Finished | None:
         """Return the outcome of a run; None if it is tried again, or was stopped."""
         run = self._out.pop(name, None)
         if run is None:
             return None
         if isinstance(result, Finished):
-            return run.point, result
+            return result
         if isinstance(result, concurrent.futures.CancelledError):
             raise OSError(f"scheduler: the connection to {self._client.scheduler.address} was lost; finished runs are "
                           "stored") from result
         if isinstance(result, UnfitWorker | ImportError | AttributeError):
             raise RuntimeError(f"a worker that joined cannot compute this study: {result}") from result
-        tries, words, exception = run.tries, "", None
         if not isinstance(result, KilledWorker):
-            words, exception = execute.error_text(result), result
-        elif result.last_worker is not None and result.last_worker.address in self._large:
-            words = "MemoryLimit: stopped as its process held more than its limit"
-        else:
-            tries += result.allowed_failures  # dask itself starts a run again as often as the scheduler allows
-            if run.tries < MOST_TRIES:
-                self._again.append((run.point, tries + 1))
-                _log.warning("a worker died during %s: tried again", run.point)
-                return None
-            words = f"WorkerDied: worker died {tries} times during this run"
-        return run.point, Finished(error=words, exception=exception, seconds=time.monotonic() - run.sent, tries=tries)
+            return run.failed(execute.error_text(result), run.tries, result)
+        if result.last_worker is not None and result.last_worker.address in self._large:
+            return run.failed("MemoryLimit: stopped as its process held more than its limit", run.tries)
+        # dask itself starts a run again as often as the scheduler allows
+        tries = run.tries + result.allowed_failures
+        if run.tries >= MOST_TRIES:
+            return run.failed(f"WorkerDied: worker died {tries} times during this run", tries)
+        self._again.append((run.point, tries + 1))
+        _log.warning("a worker died during %s: tried again", run.point)
+        return None

@@ -1,7 +1,7 @@
 """Execution of one run, in this process or on a worker of dask.
 
 An executor takes a task (the run function and its limits) and the points to compute, and yields what is finished as
-lists of ``(point, outcome)``, in any order; the study stores each list when it comes. :func:`in_turn` computes in this
+lists of outcomes, in any order; the study stores each list when it comes. :func:`in_turn` computes in this
 process, :mod:`adaptmg.study.cluster` on workers by :func:`perform`. A worker is checked once for each run function: it
 must have the same versions, and the run function must have the same fingerprint there.
 """
@@ -27,7 +27,7 @@ from adaptmg import _checks as checks
 from adaptmg._machine import peak_memory, reset_peak_memory
 from adaptmg.solver.fingerprint import Fingerprint, environment, fingerprint
 from adaptmg.study.designs import Point, Scalar, plain
-from adaptmg.study.store import Packed, pack
+from adaptmg.study.store import Packed, Record, pack
 
 RunFunction = Callable[..., Mapping[str, object]]
 
@@ -51,21 +51,14 @@ class Task:
 class Finished:
     """Outcome of one run."""
 
-    results: dict[str, Scalar] = field(default_factory=dict)  # empty if it failed; of what is kept its kind
+    record: Record
     packed: dict[str, Packed] = field(default_factory=dict)  # results that are kept as bytes
-    error: str = ""  # type and text of the exception, empty if it did not fail
-    traceback: str = ""
     exception: BaseException | None = None  # None where it cannot be sent
-    seconds: float = 0.0
-    peak_memory: int = 0  # bytes
-    started: str = ""
-    machine: str = ""
-    tries: int = 1
     refused: bool = False  # what it returned is not what a study can store
 
 
 #: points are None while other processes compute those that are left
-Done = Generator[list[tuple[Point, Finished]], None, None]
+Done = Generator[list[Finished], None, None]
 Execute = Callable[[Task, Iterator[Point | None]], Done]
 #: seconds between two looks at what other processes compute
 LOOK_S = 0.5
@@ -79,7 +72,7 @@ def in_turn(task: Task, points: Iterator[Point | None]) -> Done:
         if point is None:
             time.sleep(LOOK_S)
         else:
-            yield [(point, compute(task.function, point))]
+            yield [compute(task.function, point)]
 
 
 def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
@@ -88,26 +81,29 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
     started = now()
     reset_peak_memory()
     begin = time.perf_counter()
-    seconds, outcome = 0.0, Finished()
+    end, results, packed, exception = None, {}, {}, None
     try:
         returned = function(**point)
-        seconds = time.perf_counter() - begin
-        outcome = _sorted_out(returned, point)
+        end = time.perf_counter()
+        results, packed = _sorted_out(returned, point)
     except BaseException as error:  # of sys.exit, asyncio, or a class of the user
         if interruptible and isinstance(error, KeyboardInterrupt):
             raise
-        seconds = time.perf_counter() - begin
-        trace = bounded("".join(traceback.format_exception(error)), _MOST_TRACEBACK)
-        outcome = Finished(error=error_text(error), traceback=trace, exception=error,
-                           refused=isinstance(error, WrongResults))
-    return replace(outcome, seconds=seconds, peak_memory=peak_memory(), started=started, machine=platform.node())
+        exception = error
+    failed = {} if exception is None else {
+        "error": error_text(exception), "traceback": bounded("".join(traceback.format_exception(exception)),
+                                                             _MOST_TRACEBACK)}
+    record = Record(parameters=point, status="failed" if failed else "done", results=results, started=started,
+                    seconds=(end or time.perf_counter()) - begin, peak_memory=peak_memory(), machine=platform.node(),
+                    **failed)
+    return Finished(record, packed, exception, isinstance(exception, WrongResults))
 
 
 class WrongResults(TypeError):
     """A run function returns what cannot be stored."""
 
 
-def _sorted_out(returned: object, point: Point) -> Finished:
+def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict[str, Packed]]:
     """Return the results of a run function, checked: numbers, strings, bools and None for the row, the rest packed."""
     if not isinstance(returned, Mapping):
         raise WrongResults(f"the run function must return a dict of numbers, strings and bools, got "
@@ -130,7 +126,13 @@ def _sorted_out(returned: object, point: Point) -> Finished:
     if length > _MOST_RESULTS:
         raise ValueError(f"the results take {length} characters, at most {_MOST_RESULTS} go into a row; return arrays, "
                          "which are kept apart")
-    return Finished(results, packed)
+    return results, packed
+
+
+def study_fingerprint(function: RunFunction, depends: Mapping[str, object]) -> Fingerprint:
+    """Return what rows depend on: the fingerprint of the run function, and versions of Python and packages."""
+    versions = {f"package {name}": version for name, version in environment().items()}
+    return Fingerprint(versions | fingerprint(function, depends).parts)
 
 
 def now() -> str:
@@ -204,7 +206,8 @@ def readied(order: Order) -> RunFunction:
     except Exception as error:
         raise UnfitWorker(f"it cannot unpack the run function ({error_text(error)}): install what it lacks there, put "
                           "it on PYTHONPATH, or send it with client.upload_file") from error
-    if changes := fingerprint(function, dict.fromkeys(order.depends)).seen().differences(order.fingerprint.parts):
+    here = study_fingerprint(function, dict.fromkeys(order.depends)).seen()
+    if changes := here.differences(order.fingerprint.parts):
         raise UnfitWorker(f"it would compute something else than this process ({', '.join(changes[:5])}): bring the "
                           "same files there and start the worker again; give values that a script sets in a module as "
                           "parameters or fixed={...}")
@@ -239,7 +242,7 @@ def perform(function: RunFunction, uses_adaptmg: bool, point: Point, tries: int,
         sendable = error and cloudpickle.loads(cloudpickle.dumps(error.with_traceback(None)))
     except Exception:  # its text arrives in any case
         sendable = None
-    return replace(finished, exception=sendable, tries=tries)
+    return replace(finished, exception=sendable, record=replace(finished.record, tries=tries))
 
 
 def _cached_again(function: RunFunction, parameters: dict[str, int | bool]) -> RunFunction:

@@ -11,9 +11,9 @@ import sys
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
@@ -21,9 +21,9 @@ import pandas as pd
 
 from adaptmg import _checks as checks
 from adaptmg._text import say
-from adaptmg.solver.fingerprint import Fingerprint, environment, fingerprint
+from adaptmg.solver.fingerprint import Fingerprint, environment
 from adaptmg.study.designs import DesignLike, Point, Value, as_design, canonical, parameter_value
-from adaptmg.study.execute import RESERVED, Execute, Finished, RunFunction, Task, commit, in_turn, now
+from adaptmg.study.execute import RESERVED, Done, RunFunction, Task, commit, in_turn, now, study_fingerprint
 from adaptmg.study.store import Record, Store, new_owner, unpack
 from adaptmg.study.tables import DETAILS, frame
 
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("adaptmg.study")
 Cost = Callable[[Point], float] | str
+#: a point, and what is stored of it
+Stored = tuple[Point, Record | None]
 #: reasons that are listed
 _MOST = 12
 Progress = bool | Callable[["Watch"], None] | None
@@ -75,22 +77,6 @@ class StudyStatus:
             if len(ordered) > _MOST:
                 lines.append(f"  {title}: {len(ordered) - _MOST} more")
         return "\n".join(lines)
-
-
-def _reasons(stale: Iterable[Record], now: Fingerprint, versions: Mapping[str, str],
-            origins: Mapping[str, Mapping[str, str]]) -> dict[str, int]:
-    """Return why records are stale, with the number of records."""
-    kinds = Counter((record.code, tuple(record.versions.items())) for record in stale)
-    counts: Counter[str] = Counter()
-    for (code, stored), count in kinds.items():
-        then = dict(stored)
-        changes = [f"{name} {then.get(name, 'none')} -> {versions.get(name, 'none')}"
-                   for name in sorted({*then, *versions}) if then.get(name) != versions.get(name)]
-        if code != now.code:
-            changes += now.differences(origins.get(code, {}))
-        for text in changes:
-            counts[text] += count
-    return dict(counts)
 
 
 class Study:
@@ -214,22 +200,26 @@ class Study:
             checks.integer("workers", workers, minimum=1)
         for name, flag in (("rerun", rerun), ("retry_failed", retry_failed), ("throw", throw)):
             checks.flag(name, flag)
-        code, versions, stored = self._fingerprint(), environment(), self._store.get(self.name)
-        points = self.points()
-        todo = [point for point in points
-                if rerun or self._state(stored.get(canonical(point)), code, versions)
-                not in (("done",) if retry_failed else ("done", "failed"))]
-        todo = in_order(todo, cost, stored)
-        _log.info("study %s: %d of %d runs to compute", self.name, len(todo), len(points))
+        code = self._fingerprint()
+        rows, valid = self._rows(code), ("done",) if retry_failed else ("done", "failed")
+        todo = in_order({canonical(point): (point, record) for point, record, state in rows
+                         if rerun or state not in valid}, cost)
+        _log.info("study %s: %d of %d runs to compute", self.name, len(todo), len(rows))
         if todo:
+            if workers is None and scheduler is None:
+                executor = contextlib.nullcontext(in_turn)
+            else:
+                from adaptmg.study.cluster import opened
+
+                executor = opened(workers, scheduler, len(todo), memory)
             task, owner = Task(self._function, code, tuple(self._depends), limit_s), new_owner()
             try:
-                with _executor(workers, scheduler, len(todo), memory) as execute:
-                    self._compute(execute, task, todo, len(points), progress, throw, code, versions, stored, owner)
+                with executor as execute:
+                    self._compute(execute(task, self._claimed(todo, owner)), code, len(todo), progress, throw)
             finally:
                 with contextlib.suppress(OSError, ValueError):  # of a store that has gone, say: what is raised says so
                     self._store.release(owner)
-        return self._table(code, versions, False)
+        return self._table(code, False)
 
     def table(self, details: bool = False) -> pd.DataFrame:
         """Return the runs in the store, without computing any: one row a run in the order of the design.
@@ -238,23 +228,20 @@ class Study:
         'failed', 'stale', 'missing'), ``seconds`` and ``error``; with ``details`` also tries, peak_memory (bytes),
         started, finished (UTC), machine, commit, traceback. ``attrs`` has the study's name and fixed parameters.
         """
-        return self._table(self._fingerprint(), environment(), details)
+        return self._table(self._fingerprint(), details)
 
     def status(self) -> StudyStatus:
         """Return how many runs are done, failed, stale and missing, and why runs are stale."""
-        code, versions, stored = self._fingerprint(), environment(), self._store.get(self.name)
-        counts: dict[str, int] = dict.fromkeys(("done", "failed", "stale", "missing"), 0)
-        stale, errors = [], {}
-        for point in self.points():
-            record = stored.get(canonical(point))
-            state = self._state(record, code, versions)
-            counts[state] += 1
+        code, reasons, errors, origins = self._fingerprint(), Counter(), Counter(), self._store.origins()
+        rows = self._rows(code)
+        for _, record, state in rows:
             if state == "stale":
-                stale.append(record)
-            elif state == "failed" and record is not None:
-                errors[record.error] = errors.get(record.error, 0) + 1
-        return StudyStatus(name=self.name, **counts, errors=errors,
-                           reasons=_reasons(stale, code, versions, self._store.origins()))
+                reasons.update(code.differences(origins.get(record.code, {})))
+            elif state == "failed":
+                errors[record.error] += 1
+        counts = Counter(state for _, _, state in rows)
+        return StudyStatus(name=self.name, errors=dict(errors), reasons=dict(reasons),
+                           **{state: counts[state] for state in ("done", "failed", "stale", "missing")})
 
     def load(self, row: int | Mapping[str, Value] | pd.Series, name: str | None = None) -> Kept | dict[str, Kept]:
         """Return the results of a run that are kept apart from its row, by name, or the one called ``name``.
@@ -275,43 +262,44 @@ class Study:
                              f"{name}{checks.suggestion(name or '', kept)}")
         return unpack(kept[name])
 
-    def _compute(self, execute: Execute, task: Task, todo: list[Point], total: int, progress: Progress, throw: bool,
-                 code: Fingerprint, versions: dict[str, str], stored: Mapping[str, Record], owner: str) -> None:
-        """Compute runs, and store each when it ends."""
-        runs, watch = execute(task, self._claimed(todo, stored, owner)), Watch(self.name, total, total - len(todo))
+    def _compute(self, runs: Done, code: Fingerprint, count: int, progress: Progress, throw: bool) -> None:
+        """Store each run when it ends."""
+        watch = Watch(self.name, len(self), len(self) - count)
         try:
             with _shown(watch, progress) as show:
                 for number, batch in enumerate(runs):
-                    for refused in (outcome for _, outcome in batch if outcome.refused and not number):
-                        raise ValueError(f"the run function of study {self.name} cannot be used: {refused.error}")
-                    self._store.put(self.name, [_record(point, outcome, code, versions) for point, outcome in batch],
-                                    code.parts, [outcome.packed for _, outcome in batch])
-                    for point, outcome in batch:
+                    for refused in (outcome for outcome in batch if outcome.refused and not number):
+                        raise ValueError(f"the run function of study {self.name} cannot be used: "
+                                         f"{refused.record.error}")
+                    origin = {"code": code.code, "versions": environment(), "finished": now(), "commit": commit()}
+                    self._store.put(self.name, [replace(outcome.record, **origin) for outcome in batch], code.parts,
+                                    [outcome.packed for outcome in batch])
+                    for outcome in batch:
+                        record = outcome.record
                         watch.done += 1
-                        watch.failed += bool(outcome.error)
+                        watch.failed += bool(record.error)
                         show()
-                        _log.log(logging.WARNING if outcome.error else logging.INFO, "study %s: [%d/%d] %s %s",
-                                 self.name, watch.done, total,
-                                 ", ".join(f"{name}={point[name]!r}" for name in self.design.names),
-                                 f"failed: {outcome.error}" if outcome.error else
-                                 f"done in {outcome.seconds:.3g} s; {watch.words()}")
-                        if throw and outcome.error:
-                            raise outcome.exception or RuntimeError(outcome.error)
+                        _log.log(logging.WARNING if record.error else logging.INFO, "study %s: [%d/%d] %s %s",
+                                 self.name, watch.done, watch.total,
+                                 ", ".join(f"{name}={record.parameters[name]!r}" for name in self.design.names),
+                                 f"failed: {record.error}" if record.error else
+                                 f"done in {record.seconds:.3g} s; {watch.words()}")
+                        if throw and record.error:
+                            raise outcome.exception or RuntimeError(record.error)
         finally:
             runs.close()
             self._warn_of_changes(code)
 
-    def _claimed(self, todo: Sequence[Point], stored: Mapping[str, Record], owner: str) -> Iterator[Point | None]:
+    def _claimed(self, todo: Mapping[str, Stored], owner: str) -> Iterator[Point | None]:
         """Yield the points that this process claims, None while others compute the rest. What another has stored
         meanwhile is left out."""
-        left = list(todo)
+        left = dict(todo)
         while left:
-            held = []
-            for point in left:
-                key = canonical(point)
+            held = {}
+            for key, (point, stored) in left.items():
                 if not self._store.claim(self.name, key, owner):
-                    held.append(point)
-                elif self._store.one(self.name, key) == stored.get(key):
+                    held[key] = point, stored
+                elif self._store.one(self.name, key) == stored:
                     yield point
                 else:
                     self._store.release(owner, key)
@@ -320,7 +308,7 @@ class Study:
             left = held
 
     def _fingerprint(self) -> Fingerprint:
-        return fingerprint(self._function, self._depends)
+        return study_fingerprint(self._function, self._depends)
 
     def _warn_of_changes(self, before: Fingerprint) -> None:
         """Warn of values that changed while runs went on in this process: rows depend on the order of the runs."""
@@ -331,40 +319,21 @@ class Study:
                               "stale: a run must not change what it reads; if the results do not depend on it (a "
                               "cache), name it in depends", UserWarning, stacklevel=4)
 
-    def _state(self, record: Record | None, code: Fingerprint, versions: Mapping[str, str]) -> str:
-        if record is None:
-            return "missing"
-        return record.status if record.code == code.code and record.versions == versions else "stale"
-
-    def _table(self, code: Fingerprint, versions: dict[str, str], details: bool) -> pd.DataFrame:
+    def _rows(self, code: Fingerprint) -> list[tuple[Point, Record | None, str]]:
+        """Return the points in the order of the design, with what is stored of them and its state."""
         stored = self._store.get(self.name)
-        records = [(point, stored.get(canonical({**self.fixed, **point}))) for point in self.design.points()]
-        table = frame(self.design.names,
-                      [(point, record, self._state(record, code, versions)) for point, record in records], details)
+        records = [(point, stored.get(canonical(point))) for point in self.points()]
+        return [(point, record, "missing" if record is None else record.status if record.code == code.code else "stale")
+                for point, record in records]
+
+    def _table(self, code: Fingerprint, details: bool) -> pd.DataFrame:
+        table = frame(self.design.names, self._rows(code), details)
         table.attrs = {"study": self.name, "fixed": dict(self.fixed)}
         return table
 
 
-def _record(point: Point, outcome: Finished, code: Fingerprint, versions: dict[str, str]) -> Record:
-    own = {name: getattr(outcome, name) for name in ("results", "error", "traceback", "seconds", "started", "machine",
-                                                     "peak_memory", "tries")}
-    return Record(parameters=point, status="failed" if outcome.error else "done", code=code.code, versions=versions,
-                  finished=now(), commit=commit(), **own)
-
-
-def _executor(workers: int | None, scheduler: str | Client | Cluster | None, runs: int, memory_limit: int | None
-              ) -> contextlib.AbstractContextManager[Execute]:
-    if workers is None and scheduler is None:
-        return contextlib.nullcontext(in_turn)
-    from adaptmg.study.cluster import opened
-
-    return opened(workers, scheduler, runs, memory_limit)
-
-
 def _check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Value]) -> None:
     for name in (*fixed, *names):
-        if not isinstance(name, str):
-            raise TypeError(f"the names of parameters must be strings, got {checks.shown(name)}")
         if name in RESERVED or name in DETAILS:
             raise ValueError(f"parameter {name!r} has the name of a column of the study: rename it")
     if set(names) & set(fixed):
@@ -377,24 +346,24 @@ def _check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Val
                         f"{', '.join(arguments)}: {error}") from None
 
 
-def in_order(points: list[Point], cost: Cost | None, stored: Mapping[str, Record]) -> list[Point]:
+def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
     """Return the points, the most expensive first, so that none of them is started when the others are done."""
-    if cost is None or not points:
-        return points
+    if cost is None:
+        return todo
     if not (callable(cost) or isinstance(cost, str)):
         raise TypeError(f"cost must be a function of a point, or the name of a column, got {checks.described(cost)}")
 
-    def of(point: Point) -> float:
+    def of(item: tuple[str, Stored]) -> float:
+        point, record = item[1]
         if callable(cost):
             return checks.number("cost", cost(dict(point)))
         if cost in point:
             return checks.number(f"cost: parameter {cost!r}", point[cost])
-        record = stored.get(canonical(point))
         value = None if record is None else record.seconds if cost == "seconds" else record.results.get(cost)
         # a run without a record may be long
         return float(value) if isinstance(value, int | float) and not math.isnan(value) else math.inf
 
-    return sorted(points, key=of, reverse=True)
+    return dict(sorted(todo.items(), key=of, reverse=True))
 
 
 class Watch:

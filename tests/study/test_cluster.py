@@ -419,4 +419,4 @@ def test_a_run_whose_worker_held_too_much_is_not_tried_again():
     runs = _runs(run=executor._Run({"n": 6}, 1, 0.0, None))
     runs._large.add("tls://a")
     killed = executor.KilledWorker("run", SimpleNamespace(address="tls://a"), 0)
-    assert runs._outcome("run", killed)[1].error.startswith("MemoryLimit")
+    assert runs._outcome("run", killed).record.error.startswith("MemoryLimit")

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from adaptmg.study import Study, as_text, study
+from adaptmg.study import Study, as_text, execute, study
 from adaptmg.study.designs import canonical
 from adaptmg.study.execute import compute
 from adaptmg.study.store import Record, Store
@@ -21,7 +21,7 @@ GRID = {"sweeps": [1, 2, 3], "friction": [0.0, 1.0]}
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch):
     CALLS.clear()
-    monkeypatch.setattr(study, "environment", lambda: {"python": "3", "numpy": "1"})
+    monkeypatch.setattr(execute, "environment", lambda: {"python": "3", "numpy": "1"})
 
 
 def case(sweeps, friction=0.3):
@@ -85,9 +85,9 @@ def test_a_changed_function_or_version_makes_rows_stale(tmp_path, monkeypatch):
     assert changed.table()["status"].tolist() == ["stale", "stale"]
     assert changed.run(progress=False)["work"].tolist() == [0.0, 0.0]
     assert changed.table()["status"].tolist() == ["done", "done"]
-    monkeypatch.setattr(study, "environment", lambda: {"python": "3", "numpy": "2", "new": "3"})
-    assert changed.status().reasons == {"numpy 1 -> 2": 2, "new none -> 3": 2}
-    assert "stale: new none -> 3 (2)" in repr(changed.status())
+    monkeypatch.setattr(execute, "environment", lambda: {"python": "3", "numpy": "2", "new": "3"})
+    assert changed.status().reasons == {"package numpy 1 -> 2": 2, "package new is new": 2}
+    assert "stale: package new is new (2)" in repr(changed.status())
 
 
 def test_a_file_changed_by_others_is_not_blamed_on_runs(tmp_path):
@@ -116,15 +116,13 @@ def test_a_store_holds_several_studies_by_fixed_parameters(tmp_path):
 
 
 def test_long_runs_and_runs_without_a_record_go_first():
-    points = [{"n": n} for n in range(4)]
-    stored = {canonical({"n": n}): Record(parameters={"n": n}, status="done", seconds=known, results={"cost": known})
-              for n, known in ((0, 1.0), (2, 5.0))}
-    stored[canonical({"n": 3})] = Record(parameters={"n": 3}, status="done", seconds=math.nan)
-    assert [point["n"] for point in in_order(points, "seconds", stored)] == [1, 3, 2, 0]
-    assert [point["n"] for point in in_order(points, "cost", stored)] == [1, 3, 2, 0]
-    assert [point["n"] for point in in_order(points, "n", stored)] == [3, 2, 1, 0]
+    stored = {n: Record(parameters={"n": n}, status="done", seconds=known, results={"cost": known})
+              for n, known in ((0, 1.0), (2, 5.0), (3, math.nan))}
+    todo = {canonical({"n": n}): ({"n": n}, stored.get(n)) for n in range(4)}
+    for cost, order in (("seconds", [1, 3, 2, 0]), ("cost", [1, 3, 2, 0]), ("n", [3, 2, 1, 0])):
+        assert [point["n"] for point, _ in in_order(todo, cost).values()] == order
     with pytest.raises(TypeError, match="cost must be"):
-        in_order(points, 3, stored)
+        in_order(todo, 3)
     table = Study(lambda n: {"began": time.monotonic_ns()}, {"n": range(4)}).run(progress=False, cost="n")
     assert table["began"].is_monotonic_decreasing
 
@@ -208,7 +206,7 @@ def test_any_exception_of_a_run_is_its_failure(error):
         raise error
 
     found = compute(run, {"n": 1}, interruptible=False)
-    assert found.error.startswith(f"{type(error).__name__}: ") and found.exception is error
+    assert found.record.error.startswith(f"{type(error).__name__}: ") and found.exception is error
     if isinstance(error, KeyboardInterrupt):
         with pytest.raises(KeyboardInterrupt):
             compute(run, {"n": 1})
