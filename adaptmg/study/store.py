@@ -245,17 +245,17 @@ class Store:
                     connection.executemany("INSERT OR IGNORE INTO origins VALUES (?, ?)",
                                            [(code, json.dumps(parts)) for code in {record.code for record in records}])
 
-    def claim(self, study: str, key: str, owner: str) -> bool:
-        """Claim a run; whether it is claimed: not where a process that may live has claimed it."""
+    def claim(self, study: str, keys: Sequence[str], owner: str) -> list[bool]:
+        """Claim runs, in one transaction; whether each is claimed: not where a process that may live has claimed it."""
         with self._explained():
             self._check_there()
             with self._transaction() as connection:
-                held = connection.execute("SELECT owner FROM claims WHERE study = ? AND parameters = ?",
-                                          (study, key)).fetchone()
-                if held is not None and _may_live(held[0]):
-                    return False
-                connection.execute("INSERT OR REPLACE INTO claims VALUES (?, ?, ?)", (study, key, owner))
-        return True
+                held = [connection.execute("SELECT owner FROM claims WHERE study = ? AND parameters = ?",
+                                           (study, key)).fetchone() for key in keys]
+                claimed = [other is None or not _may_live(other[0]) for other in held]
+                connection.executemany("INSERT OR REPLACE INTO claims VALUES (?, ?, ?)",
+                                       [(study, key, owner) for key, ours in zip(keys, claimed, strict=True) if ours])
+        return claimed
 
     def release(self, owner: str, key: str = "%") -> None:
         """Give up the claims of an owner, or that on one run."""

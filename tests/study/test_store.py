@@ -173,8 +173,8 @@ def test_claims_of_live_processes_hold_those_of_dead_ones_not(tmp_path):
         ([machine, ended.pid, created, claimed, number], False), ([machine, os.getpid(), 5.0, claimed, number], False),
         (["other", 1, 5.0, claimed, number], True), (["other", 1, 5.0, claimed - 1e5, number], False))}
     for owner, lives in (owners | {here: True}).items():
-        assert store.claim("s", key, owner)
-        assert store.claim("s", key, here) is not lives and store.claim("s", canonical({"n": 2}), here)
+        assert store.claim("s", [key], owner) == [True]
+        assert store.claim("s", [key, canonical({"n": 2})], here) == [not lives, True]
         store.release(owner)
         store.release(here)
 
