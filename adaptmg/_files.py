@@ -2,35 +2,25 @@
 
 What is written is either complete or not there. The content goes into a temporary file next to the target, is
 synchronised with the disk, and then takes the target's name. A process that is killed meanwhile leaves at most
-``.adaptmg-HOST-PID-TOKEN.part``; the next process of the same user that writes there removes it, if process PID of
-this machine has ended. What is read is a regular file of a bounded size, never a pipe or a device.
+``.adaptmg-TOKEN.part``. What is read is a regular file of a bounded size, never a pipe or a device.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
 import os
-import re
 import secrets
-import shutil
 import stat
-import sys
 import tempfile
 from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
-from adaptmg._machine import process_space, user
 from adaptmg._text import printable
 
 #: bytes of a file that is read, unless a smaller limit is given
 MOST_BYTES = 2**36
-_STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}
-_PART = re.compile(r"\.adaptmg-([0-9a-f]{8})-([0-9]{1,9})-[0-9a-f]{16}\.part")
-_cleaned: set[Path] = set()
 
 
 @contextlib.contextmanager
@@ -75,12 +65,7 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
         status = None
         with contextlib.suppress(FileNotFoundError):  # but not a circle of links, say
             status = path.stat()
-        if os.fspath(path) in _STREAMS:
-            for stream in (sys.stdout, sys.stderr):
-                stream.flush()  # printed text comes first
-            with open(_STREAMS[os.fspath(path)], "wb", closefd=False) as file:
-                file.write(content)
-        elif status is None or stat.S_ISREG(status.st_mode):
+        if status is None or stat.S_ISREG(status.st_mode):
             if status is None and not target.parent.is_dir():
                 raise FileNotFoundError(errno.ENOENT, f"the folder {os.fspath(target.parent)!r} does not exist")
             if status is not None and not os.access(target, os.W_OK):
@@ -104,27 +89,17 @@ def make_folder(name: str, path: Path) -> None:
                                  str(path)) from error
 
 
-def temporary_folder(folder: str | os.PathLike[str] = "") -> Path:
-    """Make a folder inside another one, by default that of temporary files; after a kill the next process removes it,
-    in place of the caller."""
-    made = _part(Path(folder or tempfile.gettempdir()))
-    made.mkdir(mode=0o700)
-    return made
-
-
 @contextlib.contextmanager
-def waiting_folder(folder: str | os.PathLike[str] = "") -> Iterator[Path]:
-    """A :func:`temporary_folder`, for files that are put in place together, which is removed in the end."""
-    waiting = temporary_folder(folder)
-    try:
-        yield waiting
-    finally:
-        shutil.rmtree(waiting, ignore_errors=True)
+def waiting_folder(folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
+    """A folder inside another one, by default that of temporary files, for files that are put in place together; it is
+    removed in the end."""
+    with tempfile.TemporaryDirectory(".part", ".adaptmg-", folder, ignore_cleanup_errors=True) as waiting:
+        yield Path(waiting)
 
 
 def _replace(target: Path, content: bytes, status: os.stat_result | None) -> None:
     """Write a temporary file and give it the target's name."""
-    part = _part(target.parent)
+    part = target.with_name(f".adaptmg-{secrets.token_hex(8)}.part")
     try:
         with part.open("xb") as file:
             file.write(content)
@@ -142,26 +117,3 @@ def _replace(target: Path, content: bytes, status: os.stat_result | None) -> Non
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-
-
-def _part(folder: Path) -> Path:
-    """A new temporary name in a folder; the first time in a process, what ended processes left there is removed."""
-    if folder not in _cleaned:
-        _cleaned.add(folder)
-        for path in folder.glob(".adaptmg-*.part"):
-            with contextlib.suppress(OSError):
-                if (match := _PART.fullmatch(path.name)) and match[1] == _host() and _left(path, int(match[2])):
-                    (shutil.rmtree if path.is_dir() and not path.is_symlink() else Path.unlink)(path)
-    return folder / f".adaptmg-{_host()}-{os.getpid()}-{secrets.token_hex(8)}.part"
-
-
-@lru_cache(maxsize=1)
-def _host() -> str:
-    return hashlib.sha256(process_space().encode()).hexdigest()[:8]
-
-
-def _left(path: Path, pid: int) -> bool:
-    """Whether it belongs to this user and the process that made it has ended."""
-    import psutil
-
-    return not psutil.pid_exists(pid) and path.lstat().st_uid == user()

@@ -17,18 +17,6 @@ def memory() -> float:
     return float(psutil.virtual_memory().total)
 
 
-def process_space() -> str:
-    """Return a text for this machine, or container: numbers of processes mean nothing elsewhere."""
-    with suppress(OSError):
-        return f"{platform.node()} {os.stat('/proc/self/ns/pid').st_ino}"
-    return platform.node()
-
-
-def user() -> int:
-    """Return the number of the user to whom files belong; 0 on Windows."""
-    return os.getuid() if sys.platform != "win32" else 0
-
-
 def processor() -> str:
     """Return the name of the processor."""
     with suppress(OSError, StopIteration):
