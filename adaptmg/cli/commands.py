@@ -34,13 +34,10 @@ _SECTIONS = {"solve": ("case", "hierarchy", "solver"), "adapt": ("case", "adapt"
 
 
 class _Parser(argparse.ArgumentParser):
-    """Bad input raises ValueError; help is printed on any terminal."""
+    """Bad input raises ValueError."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         raise ValueError(f"{message} (see '{self.prog} --help')")
-
-    def _print_message(self, message: str, file: object = None) -> None:
-        _say(message.rstrip())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -23,8 +23,8 @@ from adaptmg import _checks as checks
 from adaptmg.export.report import LONGEST, Report, label, worded
 from adaptmg.plot.style import CYCLE, label_plainly, plain, styled
 
-#: the largest number of characters of a text in a table, lines in a picture, marks in a line, names along an axis
-_LETTERS, _LINES, _MARKED, _NAMES = 300, 7, 60, 40
+#: the largest number of characters of a text in a table, lines in a picture, and marks in a line
+_LETTERS, _LINES, _MARKED = 300, 7, 60
 #: an axis is logarithmic where the largest value is at least this multiple of the least
 _LOGARITHMIC = 30.0
 
@@ -142,16 +142,16 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     """Return a picture of a numeric result of finished runs against a parameter."""
     figure = Figure(figsize=(6.2, 3.9))
     ax = figure.subplots()
-    position, names = numbers(table[axis.along]), None
-    if position is None:
-        names = list(dict.fromkeys(_keys(table[axis.along])))[:_NAMES]
-        position = _keys(table[axis.along]).map({name: float(k) for k, name in enumerate(names)})
+    position = numbers(table[axis.along])
+    named = position is None
+    if named:
+        position = _keys(table[axis.along]).map(_name)
     data = pd.DataFrame({"x": position.to_numpy(), "y": numbers(table[result]).to_numpy(),
                          "line": _keys(table[axis.lines]).to_numpy() if axis.lines else ""})
-    data = data[np.isfinite(data["x"]) & np.isfinite(data["y"])]
-    joined = axis.joined and names is None
+    data = data.replace([np.inf, -np.inf], np.nan).dropna()
+    joined = axis.joined and not named
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
-        color, values = CYCLE[k % len(CYCLE)], part.groupby("x")["y"]
+        color, values = CYCLE[k % len(CYCLE)], part.groupby("x", sort=not named)["y"]
         median, low, high = values.median(), values.min(), values.max()
         ax.plot(median.index, median, color=color, linestyle="-" if joined else "",
                 label=f"{plain(worded(axis.lines)[0])} = {_name(line)}",
@@ -162,10 +162,10 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
             ax.vlines(median.index, low, high, color=color, alpha=0.5)
     ax.set(xlabel=plain(label(axis.along, along_unit)), ylabel=plain(label(result, unit)))
     ax.grid(True)
-    if names is None:
-        _scale(ax, "x", data["x"])
+    if named:
+        ax.tick_params(axis="x", rotation=90 if data["x"].nunique() > 6 else 0)
     else:
-        ax.set_xticks(range(len(names)), [_name(name) for name in names], rotation=90 if len(names) > 6 else 0)
+        _scale(ax, "x", data["x"])
     _scale(ax, "y", data["y"])
     if axis.lines and len(data):
         # above the drawing, where nothing is drawn

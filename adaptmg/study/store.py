@@ -5,7 +5,7 @@ a half-written one does not exist. (Its write-ahead log does not work on the net
 processes may write to one store.
 
 Table ``runs`` has a row a run: its parameters (the text that identifies it) and a :class:`Record` as JSON. ``kept`` has
-results that are not numbers: arrays, meshes, solutions, figures and long texts, packed into bytes where the run
+results that are not numbers or texts: arrays, meshes, solutions and figures, packed into bytes where the run
 function runs; nothing is pickled. ``origins`` has the parts of each fingerprint, so that a study can say why a row is
 stale. ``claims`` has the runs that are being computed, each with the process that does.
 """
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
     Kept = np.ndarray | MeshArrays | Result | str
 
-#: characters of a text that goes into the row, and bytes of a result that does not
-_LONG, _MOST_BYTES = 10_000, 2**29
+#: bytes of a result that is kept
+_MOST_BYTES = 2**29
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,16 +73,14 @@ _FIELDS = [one.name for one in fields(Record) if one.name != "parameters"]
 class Packed:
     """A result as bytes."""
 
-    kind: str  # array, mesh, result, figure or text
+    kind: str  # array, mesh, result or figure
     content: bytes
 
 
 def pack(value: object) -> Packed | None:
-    """Return ``value`` as bytes, None if it is a number or short text, or of no kind that is kept."""
+    """Return ``value`` as bytes, None if it is of no kind that is kept."""
     packed = None
-    if isinstance(value, str) and len(value) > _LONG:
-        packed = Packed("text", value.encode("utf-8", "surrogatepass"))
-    elif isinstance(value, np.ndarray) and value.ndim:
+    if isinstance(value, np.ndarray) and value.ndim:
         packed = Packed("array", _array(value))
     # without the module loaded there is no object of its class
     elif isinstance(value, (MeshArrays, *_loaded("adaptmg.solver.result", "Result"))):
@@ -115,9 +113,9 @@ def _array(array: np.ndarray) -> bytes:
 
 
 def unpack(packed: Packed) -> Kept:
-    """Return an array, a mesh, a result or a text; of a figure the text of its SVG."""
-    if packed.kind in ("text", "figure"):
-        return packed.content.decode("utf-8", "surrogatepass")
+    """Return an array, a mesh or a result; of a figure the text of its SVG."""
+    if packed.kind == "figure":
+        return packed.content.decode()
     if packed.kind == "array":
         return np.load(io.BytesIO(packed.content), allow_pickle=False)
     from adaptmg.solver.result import KINDS

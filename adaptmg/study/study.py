@@ -103,8 +103,8 @@ class Study:
     ----------
     run : function
         Called with the parameters by name; returns a flat dict of numbers, strings and bools. Arrays,
-        :class:`adaptmg.MeshArrays`, :class:`adaptmg.Result`, figures of matplotlib and long texts are kept apart in
-        the store, see :meth:`load`. An exception makes a failed row, and the study goes on.
+        :class:`adaptmg.MeshArrays`, :class:`adaptmg.Result`, and figures of matplotlib are kept apart in the store,
+        see :meth:`load`. An exception makes a failed row, and the study goes on.
     parameters : mapping of str to sequence, list of points, or design
         A mapping is a grid: every combination, the last parameter changing fastest. Values are numbers, strings,
         bools, None or tuples of those.
