@@ -236,6 +236,14 @@ def test_a_script_that_is_ended_keeps_rows_and_no_process(tmp_path, kind):
     assert len(Store(path).get("hanging")) >= 5
 
 
+@pytest.mark.slow
+def test_a_study_that_is_killed_and_resumed_has_every_run_once():
+    """Equal to the last bit to those of a study that was not killed: its main process, a worker, and all."""
+    from killing import campaign
+
+    assert campaign(runs=8, kills=2, seed=1) == {"done": 8, "different": 0, "left": []}
+
+
 def test_the_serial_way_does_not_load_dask():
     # pandas itself loads cloudpickle where pyarrow is installed
     code = ("import sys, pandas\nbefore = set(sys.modules)\nfrom adaptmg.study import Study\n"
