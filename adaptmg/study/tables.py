@@ -32,7 +32,7 @@ def frame(names: Sequence[str], rows: Sequence[tuple[Mapping[str, Value], Record
     more, lines = DETAILS if details else (), []
     for point, record, status in rows:
         own = {} if record is None else {name: getattr(record, name) for name in ("seconds", "error", *more)}
-        lines.append({"error": "", **dict.fromkeys(more), **{name: point.get(name) for name in names}, **own,
+        lines.append({"error": "", **{name: point.get(name) for name in names}, **own,
                       **(record.results if record else {}), "status": status})
     results = (name for _, record, _ in rows if record is not None for name in record.results)
     columns = {name: [line.get(name, math.nan) for line in lines]
