@@ -1,4 +1,3 @@
 from .mesh_files import mesh as mesh, vtk as vtk, vtk_series as vtk_series
 from .petsc_files import petsc as petsc
-from .report import Report as Report
-from .study_page import study_report as study_report
+from .report import Report as Report, study_report as study_report

@@ -145,7 +145,6 @@ def test_bad_arguments_are_refused(tmp_path):
             (lambda: page.table([[1]], "caption"), TypeError, "DataFrame"),
             (lambda: page.table(FRAME, ""), ValueError, "caption"),
             (lambda: page.table(FRAME, "c", units={"b": "s"}), ValueError, "units"),
-            (lambda: page.table(FRAME, "c", csv="javascript:alert(1)"), ValueError, "csv must name a file next to"),
             (lambda: page.figure("file.png", "caption"), TypeError, "Figure"),
             (lambda: page.card("t", table=FRAME, figure=plt.figure()), ValueError, "a table or a figure"),
             (lambda: page.section("s", key="a b"), ValueError, "key must begin"),

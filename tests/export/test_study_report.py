@@ -6,7 +6,7 @@ import pytest
 from pages import Page
 
 from adaptmg.export import study_report
-from adaptmg.export.study_page import Axis, axes_of_study, curves
+from adaptmg.export.report import Axis, axes_of_study, curves
 
 
 def table(repeats: int = 2) -> pd.DataFrame:
