@@ -33,8 +33,8 @@ RunFunction = Callable[..., Mapping[str, object]]
 
 #: columns that :meth:`adaptmg.study.Study.table` adds to parameters and results
 RESERVED = ("status", "seconds", "error")
-#: characters of an error, of a traceback, and of all results of a run as JSON that are stored
-_MOST_ERROR, _MOST_TRACEBACK, _MOST_RESULTS = 4_000, 20_000, 200_000
+#: characters of an error, from its begin, and of a traceback, from its end, that are stored
+_MOST_ERROR, _MOST_TRACEBACK = 4_000, 20_000
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,7 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
             raise
         exception = error
     failed = {} if exception is None else {
-        "error": error_text(exception), "traceback": bounded("".join(traceback.format_exception(exception)),
-                                                             _MOST_TRACEBACK)}
+        "error": error_text(exception), "traceback": "".join(traceback.format_exception(exception))[-_MOST_TRACEBACK:]}
     record = Record(parameters=point, status="failed" if failed else "done", results=results, started=started,
                     seconds=(end or time.perf_counter()) - begin, peak_memory=peak_memory(), machine=platform.node(),
                     **failed)
@@ -122,10 +121,7 @@ def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict
             raise WrongResults(f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "
                                "reduce arrays to numbers, or return a numpy array, which is kept")
         results[name] = value
-    length = len(json.dumps(results))
-    if length > _MOST_RESULTS:
-        raise ValueError(f"the results take {length} characters, at most {_MOST_RESULTS} go into a row; return arrays, "
-                         "which are kept apart")
+    json.dumps(results)  # whole numbers of thousands of digits fail here, not in the store
     return results, packed
 
 
@@ -146,15 +142,7 @@ def error_text(error: BaseException) -> str:
         text = str(error)
     except BaseException as worse:
         text = f"<its text raises {type(worse).__name__}>"
-    return bounded(f"{type(error).__name__}: {text}", _MOST_ERROR)
-
-
-def bounded(text: str, most: int) -> str:
-    """Return a text of at most ``most`` characters, its middle left out where it is longer."""
-    if len(text) <= most:
-        return text
-    half = (most - 60) // 2
-    return f"{text[:half]}\n... {len(text) - 2 * half} characters left out ...\n{text[-half:]}"
+    return f"{type(error).__name__}: {text}"[:_MOST_ERROR]
 
 
 @cache
