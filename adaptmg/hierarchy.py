@@ -16,7 +16,7 @@ from adaptmg._checks import shape_of
 from adaptmg._numba import clock, compiling_seconds
 from adaptmg._text import html_table, in_html_lines, shortened, warn_user
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.discretise import same
+from adaptmg.discrete.discretise import changed_parts, rediscretise, same
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.sides import with_sides
 from adaptmg.level import (
@@ -26,12 +26,10 @@ from adaptmg.level import (
     level_of,
     meshed_domain,
     need_domain,
-    reposed,
     the_transfer,
     touches_alike,
 )
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.netgen_guard import MAX_NODES
 from adaptmg.problem import Assembly, Box, Contact, ContactProblem, Rectangle
 
 if TYPE_CHECKING:
@@ -82,14 +80,14 @@ class Hierarchy:
         if self.problem is not None:
             checks.instance("problem", self.problem, ContactProblem, "a ContactProblem")
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
-            wanted = (fine.n_nodes, coarse.n_nodes)
+            shape = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
-                wanted = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
-            for name in ("prolongation", "surface_prolongation"):
-                matrix = vars(fine)[name]
-                if (matrix is None and name == "prolongation") or (matrix is not None and matrix.shape != wanted):
-                    got = None if matrix is None else matrix.shape
-                    raise ValueError(f"levels[{k}].{name} must have shape {wanted} (fine, coarse), got {got}")
+                shape = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
+            for name, matrix in (("prolongation", vars(fine)["prolongation"]),
+                                 ("surface_prolongation", fine.contact_prolongation)):
+                if matrix is None or matrix.shape != shape:
+                    raise ValueError(f"levels[{k}].{name} must have shape {shape} (fine, coarse), got "
+                                     f"{None if matrix is None else matrix.shape}")
         if levels[-1].discrete_or_none is None:
             raise ValueError("the finest level has no DiscreteProblem")
         object.__setattr__(self, "levels", levels)
@@ -105,8 +103,7 @@ class Hierarchy:
                 diagonal: str = "right") -> Hierarchy:
         """Return structured grids of a rectangle or box.
 
-        ValueError for what :func:`adaptmg.mesh.structured` refuses; levels that together have more than four times the
-        nodes of the finest, and millions of them.
+        ValueError for what :func:`adaptmg.mesh.structured` refuses.
 
         Parameters
         ----------
@@ -119,12 +116,11 @@ class Hierarchy:
             How squares are cut (2D).
         """
         begin = clock()
-        from adaptmg.mesh.structured import lattice_nodes, lattices, warn_of_stretched
+        from adaptmg.mesh.structured import lattices, warn_of_stretched
 
         need_domain(problem)
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))
         domain = cast("Rectangle | Box | Assembly", problem.domain)
-        _check_total("divisions", [lattice_nodes(domain, n) for n in divisions], problem.dim)
         warn_of_stretched(domain, divisions[-1])
         return cls._build(problem, lambda: [lattices(domain, n, diagonal) for n in divisions], None,
                           f"uniform {', '.join(map(_label, divisions))}", begin)
@@ -215,9 +211,9 @@ class Hierarchy:
 
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = clock()
-        given, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
-        levels = [Level(None, None, P, galerkin=A) for P, A in zip([None, *given[:-1]], matrices, strict=True)]
-        levels.append(Level(discrete, None, given[-1]))
+        checked, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
+        levels = [Level(None, None, P, galerkin=A) for P, A in zip([None, *checked[:-1]], matrices, strict=True)]
+        levels.append(Level(discrete, None, checked[-1]))
         return cls(tuple(levels), None, "given prolongations", {"transfer": clock() - begin})
 
     @classmethod
@@ -235,13 +231,13 @@ class Hierarchy:
 
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = clock()
-        found = aggregated_prolongations(discrete.matrix, discrete.near_nullspace, discrete.fixed,
-                                         checks.integer("max_coarse", max_coarse, 1))
-        if not found:
-            raise ValueError(f"the matrix has {discrete.n_nodes} nodes, no more than max_coarse={max_coarse}: there is "
-                             "nothing to coarsen; use SingleGrid or ActiveSet, or a smaller max_coarse")
-        made = cls.from_prolongations(discrete, found)
-        return cls(made.levels, None, "smoothed aggregation", {"transfer": clock() - begin})
+        prolongations = aggregated_prolongations(discrete.matrix, discrete.near_nullspace, discrete.fixed,
+                                                 checks.integer("max_coarse", max_coarse, 1))
+        if not prolongations:
+            raise ValueError(f"max_coarse must be below {discrete.n_nodes}, the number of nodes, got {max_coarse}: "
+                             "there is nothing to coarsen")
+        levels = cls.from_prolongations(discrete, prolongations).levels
+        return cls(levels, None, "smoothed aggregation", {"transfer": clock() - begin})
 
     @classmethod
     @one_blas_thread()
@@ -274,12 +270,12 @@ class Hierarchy:
 
     @property
     def finest(self) -> Level:
-        """The finest level."""
+        """Return the finest level."""
         return self.levels[-1]
 
     @property
     def discretised(self) -> bool:
-        """Whether every level poses the contact problem; if not, only ``Truncated`` without nested start can use it."""
+        """Return whether every level poses the contact problem; else only ``Truncated`` without nested start serves."""
         return all(level.discrete_or_none is not None for level in self.levels)
 
     def need_discretised(self, what: str) -> None:
@@ -294,7 +290,7 @@ class Hierarchy:
         if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
             raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
         first, *rest = self.levels[coarsest:finest + 1]
-        first = Level(first.discrete_or_none, first.mesh_or_none, galerkin=first.galerkin)
+        first = first.posing(prolongation=None, surface_prolongation=None, mesh_ratio=float("nan"))
         return replace(self, levels=(first, *rest), timings=dict(self.timings))
 
     @one_blas_thread()
@@ -354,11 +350,13 @@ class Hierarchy:
         if own != asked:
             raise ValueError(f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
                              f"contact on {', '.join(filter(None, own))}: use Hierarchy.graded or from_meshes")
-        levels = reposed(self.levels, problem, self.problem)
+        changed = changed_parts(problem, self.problem)
+        levels = [level.posing(discrete=rediscretise(problem, level.mesh, level.discrete, changed))
+                  for level in self.levels]
         assembled = clock()
-        kept = [touches_alike(a.discrete, b.discrete) for a, b in zip(self.levels, levels, strict=True)]
+        alike = [touches_alike(a.discrete, b.discrete) for a, b in zip(self.levels, levels, strict=True)]
         for k in range(1, len(levels)):
-            if not (kept[k - 1] and kept[k]):
+            if not (alike[k - 1] and alike[k]):
                 levels[k] = joined(levels[k - 1], levels[k], the_transfer(self.transfer), self.contact_rows)
         spent = {"mesh": 0.0, "assembly": assembled - begin, "transfer": clock() - assembled}
         return replace(self, levels=tuple(levels), problem=problem, timings=spent)
@@ -377,8 +375,8 @@ class Hierarchy:
             return self.truncated(coarsest=1)
         self._need_meshes("without")
         above = joined(self.levels[level - 1], self.levels[level + 1], the_transfer(self.transfer), self.contact_rows)
-        kept = (*self.levels[:level], above, *self.levels[level + 2:])
-        return replace(self, levels=kept, timings=self._with({"transfer": clock() - begin}))
+        levels = (*self.levels[:level], above, *self.levels[level + 2:])
+        return replace(self, levels=levels, timings=self._with({"transfer": clock() - begin}))
 
     def _with(self, seconds: dict[str, float]) -> dict[str, float]:
         return {name: self.timings.get(name, 0.0) + seconds.get(name, 0.0) for name in {**self.timings, **seconds}}
@@ -391,12 +389,12 @@ class Hierarchy:
 
     @property
     def grid_complexity(self) -> float:
-        """Nodes on all levels over nodes on the finest."""
+        """Return nodes on all levels over nodes on the finest."""
         return sum(level.n_nodes for level in self.levels) / self.finest.n_nodes
 
     @property
     def operator_complexity(self) -> float:
-        """Nonzeros of the discretised matrices on all levels over those of the finest."""
+        """Return the nonzeros of the discretised matrices on all levels over those of the finest."""
         return sum(level.matrix.nnz for level in self.levels) / self.finest.matrix.nnz
 
     def table(self, *, ratios: bool = True) -> list[dict[str, float]]:
@@ -439,14 +437,6 @@ def _each(name: str, value: Any, one: tuple[type, ...]) -> tuple[Any, ...]:
     return values
 
 
-def _check_total(name: str, nodes: Sequence[int], dim: int) -> None:
-    """ValueError if levels that hardly get finer would take memory and time that the finest does not."""
-    most = max(MAX_NODES[dim], 4 * max(nodes))
-    if sum(nodes) > most:
-        raise ValueError(f"{name} must make at most {most:.3g} nodes in all, got {sum(nodes):.3g} on {len(nodes)} "
-                         f"levels, {max(nodes):.3g} on the finest: leave levels out (halving the divisions is usual)")
-
-
 def _exchanged(problem: ContactProblem) -> list[frozenset[str]]:
     """The boundaries of each contact, whichever is the slave."""
     return [frozenset(pair) for pair in zip(problem.contact_boundaries, problem.masters, strict=True)]
@@ -473,13 +463,11 @@ def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     if problem.axisymmetric or len(mesh.bodies) < 2:
         return []
     body = np.zeros(mesh.n_nodes, dtype=np.int64)
-    of_element = cast(np.ndarray, mesh.element_body)
-    body[mesh.elements] = of_element[:, None]
-    of = {name: set(body[mesh.boundary_nodes(name)].tolist()) for name in mesh.boundaries}
+    body[mesh.elements] = cast(np.ndarray, mesh.element_body)[:, None]
     pairs = [one for one in cast(tuple, problem.contact) + cast(tuple, problem.ties) if not isinstance(one, Contact)]
-    paired = {frozenset(ends) for pair in pairs
-              for ends in product(of.get(pair.slave, ()), of.get(pair.master, ()))}
-    apart = [ends for ends in combinations(np.unique(of_element).tolist(), 2) if frozenset(ends) not in paired]
+    paired = {frozenset(ends) for pair in pairs for ends in product(*(
+        set(body[mesh.boundary_nodes(name)].tolist()) for name in (pair.slave, pair.master)))}
+    apart = [ends for ends in combinations(range(len(mesh.bodies)), 2) if frozenset(ends) not in paired]
     return [f"the bodies {mesh.bodies[a]!r} and {mesh.bodies[b]!r} lie in each other, at {x.round(9).tolist()} among "
             "other places, and are not a contact pair: nothing keeps them apart. Move one of them, or declare an "
             "am.ContactPair" for a, b, x in overlapping_bodies(mesh, apart)]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,7 +40,7 @@ class Level:
         Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse spaces, its dofs
         (n_dofs, n_dofs coarse); the coarsest level has none.
     mesh_ratio : float
-        Largest local ratio of mesh sizes, next coarser over this; NaN if unknown. Found when first read.
+        Largest local ratio of mesh sizes, next coarser over this; NaN if unknown. Computed when first read.
     galerkin : bsr_array or None
         The matrix of a coarse space without a discrete problem.
     surface_prolongation : csr_array or None
@@ -111,24 +111,24 @@ class Level:
 
     @property
     def known_ratio(self) -> float:
-        """``mesh_ratio`` if it was read before, else NaN."""
+        """Return ``mesh_ratio`` if it was read before, else NaN."""
         held = self.__dict__["mesh_ratio"]
         return float("nan") if isinstance(held, OnDemand) else held
 
     @property
     def contact_prolongation(self) -> sparse.csr_array | None:
-        """The form of the prolongation for corrections that carry constraints to the coarse contact nodes."""
+        """Return the form of the prolongation for corrections that carry constraints to the coarse contact nodes."""
         return self.prolongation if self.surface_prolongation is None else self.surface_prolongation
 
     @property
     def matrix(self) -> sparse.bsr_array:
-        """The discretised matrix, or the Galerkin one of a coarse space."""
+        """Return the discretised matrix, or the Galerkin one of a coarse space."""
         coarse = self.galerkin if self.discrete_or_none is None else None
         return self.discrete.matrix if coarse is None else coarse
 
     @property
     def n_nodes(self) -> int:
-        """Nodes; of a coarse space the rows of blocks of its matrix."""
+        """Return the number of nodes; of a coarse space of the rows of blocks of its matrix."""
         return shape_of(self.matrix)[0] // self.matrix.blocksize[0]
 
     def prolong(self, u: ArrayLike) -> np.ndarray:
@@ -179,12 +179,12 @@ def _nodal(name: str, value: ArrayLike, rows: int) -> np.ndarray:
     return checks.array(name, value, (rows, *[None] * (np.ndim(value) - 1)))
 
 
-Level.discrete = made_on_demand("discrete", "The problem discretised on this grid.",
+Level.discrete = made_on_demand("discrete", "Return the problem discretised on this grid.",
                                 "this level is only a coarse space, without a discrete problem")
-Level.mesh = made_on_demand("mesh", "Its MeshArrays.", "this level has no mesh: it comes from matrices")
-Level.prolongation = made_on_demand("prolongation", "From the next coarser level.",
+Level.mesh = made_on_demand("mesh", "Return its MeshArrays.", "this level has no mesh: it comes from matrices")
+Level.prolongation = made_on_demand("prolongation", "Return the prolongation from the next coarser level.",
                                     "the coarsest level has no prolongation")
-Level.mesh_ratio = made_on_demand("mesh_ratio", "Largest local ratio of mesh sizes, next coarser over this; or NaN.")
+Level.mesh_ratio = made_on_demand("mesh_ratio", "Return the largest local ratio of mesh sizes, coarser over this.")
 
 
 def _ratio_to(coarse: MeshArrays, level: Level) -> float:
@@ -208,34 +208,28 @@ def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
     return Level(discretise(problem, mesh), mesh)
 
 
-def reposed(levels: Sequence[Level], problem: ContactProblem, before: ContactProblem) -> list[Level]:
-    """Return the levels with another problem; their prolongations are those between levels with the contact that there
-    was."""
-    from adaptmg.discrete.discretise import changed_parts, rediscretise
-
-    changed = changed_parts(problem, before)
-    return [level.posing(discrete=rediscretise(problem, level.mesh, level.discrete, changed)) for level in levels]
-
-
 def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
-    """Whether the same nodes carry contact and follow the same others: what prolongations depend on."""
+    """Return whether the same nodes carry contact and follow the same others: what prolongations depend on."""
+    def parts(problem: DiscreteProblem) -> list[Any]:
+        contact, coupling = problem.contact, problem.coupling
+        result: list[Any] = [contact.names, contact.masters, contact.nodes, contact.boundary]
+        if coupling is not None:
+            weights = coupling.weights
+            result += [weights.indptr, weights.indices, weights.data, problem.fixed]
+        return result
+
     if a.contact is b.contact and a.coupling is b.coupling:
         return True
-    arrays = [(p.contact.nodes, p.contact.boundary) for p in (a, b)]
-    if a.coupling is not None and b.coupling is not None:
-        arrays = [(*own, weights.indptr, weights.indices, weights.data, p.fixed) for p, weights, own in zip(
-            (a, b), (a.coupling.weights, b.coupling.weights), arrays, strict=True)]
-    return (a.contact.names, a.contact.masters, a.coupling is None) == (
-        b.contact.names, b.contact.masters, b.coupling is None) and all(map(np.array_equal, *arrays))
+    return len(parts(a)) == len(parts(b)) and all(map(np.array_equal, parts(a), parts(b)))
 
 
 def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -> Level:
     """Return the level ``above`` with its prolongation from ``below``, whatever was below it before."""
     from adaptmg.transfer.contact_rows import between_levels
 
-    found = between_levels(transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows)
-    return above.posing(prolongation=indices_frozen(found.prolongation),
-                        surface_prolongation=None if found.surface is None else indices_frozen(found.surface),
+    rows = between_levels(transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows)
+    return above.posing(prolongation=indices_frozen(rows.prolongation),
+                        surface_prolongation=None if rows.surface is None else indices_frozen(rows.surface),
                         mesh_ratio=OnDemand(partial(_ratio_to, below.mesh)))
 
 

@@ -99,14 +99,6 @@ def warn_of_stretched(domain: Domain, divisions: Divisions | Mapping[str, Divisi
                   f"cycles and makes elements inaccurate; divisions {square} make them about square")
 
 
-def lattice_nodes(domain: Rectangle | Box | Assembly, divisions: Divisions | Mapping[str, Divisions]) -> int:
-    """Return the number of nodes that :func:`structured` makes, or what it raises."""
-    if isinstance(domain, Assembly):
-        apart = per_body("divisions", divisions, domain.bodies)
-        return sum(lattice_nodes(part, apart[body]) for body, part in domain.parts.items())
-    return math.prod(n + 1 for n in _counts(domain, divisions))
-
-
 def _counts(domain: Rectangle | Box, divisions: Divisions) -> tuple[int, ...]:
     """Cells along each axis; what cannot be divided so is refused."""
     if not isinstance(domain, Rectangle | Box):
