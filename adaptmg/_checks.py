@@ -47,13 +47,10 @@ def number(name: str, value: object) -> float:
     """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several numbers are refused."""
     if type(value) is float and -VAST <= value <= VAST:
         return value  # most are, and the questions below take time
-    plain = hasattr(value, "__float__") and not isinstance(value, (bool, np.bool_, str, bytes, np.ma.MaskedArray))
-    try:
-        result = float(value) if plain and not np.iscomplexobj(value) else None
-    except (TypeError, ValueError, OverflowError):
-        result = None
-    if result is None:
+    entries = real_array(value)
+    if entries is None or entries.ndim:
         raise TypeError(f"{name} must be a number, got {shown(value)}")
+    result = float(entries)
     if not np.isfinite(result):
         raise ValueError(f"{name} must be finite, got {shown(value)}")
     return result
@@ -189,10 +186,7 @@ def file_path(name: str, value: object) -> Path:
         raise TypeError(f"{name} must be a path (str or pathlib.Path), got {described(value)}")
     if not text or "\0" in text:
         raise ValueError(f"{name} must be a path, got {text!r}")
-    try:
-        return Path(text).expanduser()
-    except RuntimeError as error:
-        raise ValueError(f"{name}: {text!r} has no home directory: {error}") from None
+    return Path(text).expanduser()
 
 
 def fits(name: str, size: float, words: str) -> None:
@@ -246,29 +240,17 @@ def direction(name: str, value: object, n: int) -> np.ndarray:
     length = np.linalg.norm(result)
     if not length > 0:
         raise ValueError(f"{name} must not be zero, got {shown(value)}")
-    result = result / length
-    result.flags.writeable = False
-    return result
+    return vector(name, result / length)
 
 
 def array(name: str, value: object, shape: tuple[int | None, ...], *, integer: bool = False) -> np.ndarray:
     """Return ``value`` as a read-only contiguous array of finite numbers: a copy, unless it is one that nobody writes.
     """
-    kind = "integers" if integer else "real numbers"
-    if isinstance(value, np.ma.MaskedArray):
-        raise TypeError(f"{name} must be an array of {kind}, got a masked one: fill it first")
-    try:
-        entries = np.asarray(value)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} must be an array of {kind}, got {shown(value)}") from None
-    if not isinstance(value, np.ndarray) and entries.size == 0 and entries.dtype.kind == "f":
-        entries = entries.astype(np.int64)  # an empty list may stand for integers
-    if entries.dtype.kind not in ("iu" if integer else "iuf") or _holds_bool(value):
-        actual = f"an array of {entries.dtype}" if isinstance(value, np.ndarray) else shown(value)
-        raise TypeError(f"{name} must be an array of {kind}, got {actual}")
+    entries = real_array(value)
+    # an empty list may stand for integers
+    if entries is None or (integer and entries.dtype.kind == "f" and entries.size):
+        raise TypeError(f"{name} must be an array of {'integers' if integer else 'real numbers'}, got {shown(value)}")
     _check_shape(name, entries.shape, shape)
-    if integer and entries.dtype.kind == "u" and entries.size and int(entries.max()) > np.iinfo(np.int64).max:
-        raise ValueError(f"{name} must be below 2**63, got {int(entries.max())}")
     dtype = np.int64 if integer else np.float64
     if (type(value) is np.ndarray and value.dtype == dtype and value.base is None and value.flags.c_contiguous
             and not value.flags.writeable):
@@ -292,13 +274,6 @@ def _check_finite(name: str, values: np.ndarray) -> None:
     bad = np.count_nonzero(~np.isfinite(values))
     if bad:
         raise ValueError(f"{name} must be finite; {bad} entries are not")
-
-
-def _holds_bool(value: object) -> bool:
-    """Whether a bool is among the numbers of nested lists and tuples: numpy would make it a number."""
-    if isinstance(value, (bool, np.bool_)):
-        return True
-    return isinstance(value, (list, tuple)) and any(map(_holds_bool, value))
 
 
 def sparse_matrix(name: str, value: object, shape: tuple[int | None, int | None] = (None, None)) -> Compressed:

@@ -121,7 +121,6 @@ test_refused = refused(
     (_broken, "matrix: indices must be < 3"),
     (_falling, "matrix: indptr must not fall"),
     (_cut_blocks, r"matrix: its shape \(3, 3\) is not a multiple of its blocks \(2, 2\)"),
-    (lambda: checks.array("gaps", [0.0, True], (2,)), TypeError, "gaps must be an array of real numbers"),
     *((lambda error=error: two_chains(error), r"matrix must be symmetric.*between nodes 6 and 7")
       for error in (0.32, 1e-7)),
     (lambda: square(contact=am.Contact("left", am.Plane((0.0, 0.0), (1.0, 0.0))), supports=am.Support("contact", x=0)),
