@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -49,9 +48,3 @@ def limit_memory(size: float) -> None:
         if hard == resource.RLIM_INFINITY or size < hard:
             with suppress(ValueError, OSError):  # macOS refuses some
                 resource.setrlimit(resource.RLIMIT_AS, (int(size), hard))
-
-
-def after_fork(renew: Callable[[], None]) -> None:
-    """Call a function in each child that is forked; Windows does not fork."""
-    if sys.platform != "win32":
-        os.register_at_fork(after_in_child=renew)

@@ -21,21 +21,21 @@ ABSENT: Any = None
 
 
 def made_on_demand(name: str, doc: str, absent: str = "") -> Any:
-    """A property to put in the place of the field ``name`` of a dataclass, after its class statement.
+    """Return a property to put in the place of the field ``name`` of a dataclass, after its class statement.
 
-    The field keeps its default and its place in ``__init__``, and may be given a value or an :class:`OnDemand`.
+    The field keeps its default and its place in ``__init__``, and takes a value or an :class:`OnDemand`.
     ``dataclasses.replace`` reads it: say what the new value is, where it depends on what is replaced. With ``absent``,
     the field may be None, and reading it raises ValueError with this text.
     """
-    def value(owner: object) -> Any:
-        held = owner.__dict__[name]
-        if isinstance(held, OnDemand):
-            held = owner.__dict__[name] = held.make(owner)
-        if held is None and absent:
+    def read(owner: object) -> Any:
+        value = owner.__dict__[name]
+        if isinstance(value, OnDemand):
+            value = owner.__dict__[name] = value.make(owner)
+        if value is None and absent:
             raise ValueError(absent)
-        return held
+        return value
 
-    return property(value, lambda owner, given: owner.__dict__.__setitem__(name, given), doc=doc)
+    return property(read, lambda owner, value: owner.__dict__.__setitem__(name, value), doc=doc)
 
 
 class Token:
@@ -48,16 +48,15 @@ Value = TypeVar("Value")
 
 def remembered(function: Callable[[Owner], Value], of: Callable[[Owner], object] = lambda owner: owner
                ) -> Callable[[Owner], Value]:
-    """A function that computes once for each object, or for ``of`` it; exceptions are not remembered. For objects that
-    are the same only if they are identical, and never change: hierarchies that grow keep their coarse levels from solve
-    to solve."""
-    known: WeakKeyDictionary[object, Value] = WeakKeyDictionary()
+    """Return a function that computes once for each object, or for ``of`` it; exceptions are not remembered. For
+    objects that are the same only if they are identical, and never change: levels of hierarchies that grow."""
+    values: WeakKeyDictionary[object, Value] = WeakKeyDictionary()
 
     @wraps(function)
-    def asked(owner: Owner) -> Value:
+    def remembering(owner: Owner) -> Value:
         key = of(owner)
-        if key not in known:
-            known[key] = function(owner)
-        return known[key]
+        if key not in values:
+            values[key] = function(owner)
+        return values[key]
 
-    return asked
+    return remembering

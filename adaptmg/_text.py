@@ -22,10 +22,9 @@ _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufd
 
 
 def printable(text: str) -> str:
-    """A text that every file format and terminal takes: control characters, lone surrogates and noncharacters as codes.
-    Line breaks and tabs stay. Of XML 1.0 and HTML both, nothing else than this is refused (but for markup)."""
-    return _UNPRINTABLE.sub(lambda match: match[0].encode("ascii", "backslashreplace").decode()
-                            if ord(match[0]) > 127 else f"\\x{ord(match[0]):02x}", text)
+    """Return a text that XML 1.0 and HTML take (but for markup): control characters, lone surrogates and noncharacters
+    as codes; line breaks and tabs stay."""
+    return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 def say(text: str) -> None:
@@ -44,12 +43,12 @@ def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
 
 
 def in_html_lines(text: str) -> str:
-    """A text in HTML, with its lines and columns; markup is escaped."""
+    """Return a text in HTML, with its lines and columns; markup is escaped."""
     return f"<pre>{html.escape(printable(text))}</pre>\n"
 
 
 def html_table(table: pandas.DataFrame) -> str:
-    """A table in HTML for notebooks; the middle rows of a long one are left out."""
+    """Return a table in HTML for notebooks; the middle rows of a long one are left out."""
     import pandas
 
     with pandas.option_context("display.max_colwidth", MOST):
@@ -57,33 +56,35 @@ def html_table(table: pandas.DataFrame) -> str:
 
 
 def html_fields(self: Any) -> str:
-    """The ``_repr_html_`` of a dataclass: its name, and a row for each value, of a tuple for each part."""
+    """Return the ``_repr_html_`` of a dataclass: its name, and a row for each value, of a tuple for each part."""
     import pandas
 
-    held = {item.name: vars(self).get(item.name) for item in fields(self) if item.repr}
-    rows = [(name, _value(part, MOST)) for name, value in held.items()
+    values = {item.name: vars(self).get(item.name) for item in fields(self) if item.repr}
+    rows = [(name, _value(part, MOST)) for name, value in values.items()
             for part in (value if isinstance(value, tuple) else (value,))]
     return in_html_lines(type(self).__name__) + html_table(pandas.DataFrame(rows, columns=["", "value"])) * bool(rows)
 
 
 def shortened(text: str) -> str:
-    """A text of at most 400 characters: lines in the middle are left out, then the end."""
+    """Return a text of at most 400 characters: lines in the middle are left out, then the end."""
     lines = text.split("\n")
-    for kept in range(len(lines) - 2, 0, -1) if len(text) > MOST else ():
-        text = "\n".join([*lines[:kept], f"... ({len(lines) - kept - 1} more lines)", lines[-1]])
+    for count in range(len(lines) - 2, 0, -1) if len(text) > MOST else ():
+        text = "\n".join([*lines[:count], f"... ({len(lines) - count - 1} more lines)", lines[-1]])
         if len(text) <= MOST:
             break
     return text if len(text) <= MOST else f"{text[:MOST - 3]}..."
 
 
 def brief(self: Any) -> str:
-    """The ``__repr__`` of a dataclass: as Python writes it where it is short; values on demand are not made. Arrays are
-    shown by their shapes. Where it is long, defaults, then what long values hold, are left out."""
-    held = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
-    defaults = [one.default_factory() if one.default_factory is not MISSING else one.default for one, _ in held]
-    changed = [pair for pair, default in zip(held, defaults, strict=True) if repr(pair[1]) != repr(default)]
-    for shown, most in ((held, MOST), (changed, MOST), (changed, 100), (changed, 30)):
-        inside = ", ".join(f"{item.name}={_value(value, most)}" for item, value in shown)
+    """Return the ``__repr__`` of a dataclass without defaults; values on demand are not made. Arrays are shown by their
+    shapes, and of what is long less is shown."""
+    values = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
+    defaults = [one.default_factory() if one.default_factory is not MISSING else one.default for one, _ in values]
+    changed = [(item.name, value) for (item, value), default in zip(values, defaults, strict=True)
+               if repr(value) != repr(default)]
+    inside = ""
+    for most in (MOST, 100, 30):
+        inside = ", ".join(f"{name}={_value(value, most)}" for name, value in changed)
         if len(inside) < MOST - 40:
             break
     return shortened(f"{type(self).__name__}({inside})")

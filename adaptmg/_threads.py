@@ -65,38 +65,20 @@ def set_threads(threads: int) -> None:
     Parameters
     ----------
     threads : int
-        1 to 1024; more than the processors that the process may use gain nothing.
-
-    Raises
-    ------
-    ValueError
-        Also for more than one thread inside a dask worker that runs several tasks at the same time.
+        1 to 1024; more than the processors that the process may use gain nothing. In a worker that runs several tasks
+        at the same time leave it at 1.
 
     Examples
     --------
     >>> am.set_threads(1)
     """
-    threads = checks.integer("threads", threads, 1, 1024)
-    if threads > 1 and _tasks_at_a_time() > 1:
-        raise ValueError(f"threads must be 1 in a worker that runs {_tasks_at_a_time()} tasks at the same time, got "
-                         f"{threads}: start workers with one thread each")
-    if _THREADS.pool is not None:
-        _THREADS.pool.shutdown(wait=False)
-    _THREADS.__init__(threads)
+    if checks.integer("threads", threads, 1, 1024) != _THREADS.number:
+        _THREADS.__init__(threads)
 
 
 def several() -> bool:
     """Return whether a solve takes more than one thread."""
     return _THREADS.number > 1
-
-
-def _tasks_at_a_time() -> int:
-    """Threads of the dask worker that runs this code; 1 outside of workers."""
-    distributed = sys.modules.get("distributed")
-    try:
-        return 1 if distributed is None else distributed.get_worker().state.nthreads
-    except ValueError:  # not a worker
-        return 1
 
 
 def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, joined: bool = True) -> list[Any]:
