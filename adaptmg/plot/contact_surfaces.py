@@ -67,7 +67,8 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     else:
         (width, height), columns = ((9.0, 7.0), 1) if solid else ((6.2, 6.8), min(len(names), 3))
         rows = -(-len(names) // columns)
-        parts = style.new_figure((width * columns, height * rows)).subfigures(rows, columns, squeeze=False).ravel()
+        whole = style.new_figure((width * columns, height * rows), "constrained")
+        parts = whole.subfigures(rows, columns, squeeze=False).ravel()
         panels = [style.cells(part, 4, 2) if solid else part.subplots(3, sharex=True) for part in parts[:len(names)]]
     for name, drawn in zip(names, panels, strict=True):
         (_draw_surface if solid else _draw_lines)(result, name, drawn)
@@ -334,7 +335,8 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
     columns, curve_columns = min(_COLUMNS, max(len(shown), 1)), min(3, max(len(rows), 1))
     curve_rows, map_rows = -(-len(rows) // curve_columns), -(-len(shown) // columns)
     heights = [2.7 * curve_rows] * bool(rows) + [2.1 * map_rows + 0.5] * len(names)
-    figure = style.new_figure((max(3.2 * curve_columns * bool(rows), 2.4 * columns, 5.0), sum(heights) + 0.4))
+    size = max(3.2 * curve_columns * bool(rows), 2.4 * columns, 5.0), sum(heights) + 0.4
+    figure = style.new_figure(size, "constrained")
     parts = iter(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0])
     if rows:
         axes = style.cells(next(parts), len(rows), curve_columns)

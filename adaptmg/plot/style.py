@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure, SubFigure
@@ -42,7 +41,7 @@ _STYLE = {
     "grid.color": "#dfe3e8", "grid.linewidth": 0.7, "legend.frameon": False, "legend.fontsize": 9,
     "lines.linewidth": 1.6, "lines.markersize": 4.5, "mathtext.fontset": "dejavusans", "hatch.linewidth": 0.6,
     "axes.prop_cycle": matplotlib.cycler(color=CYCLE), "image.cmap": "viridis", "axes.axisbelow": True,
-    "figure.constrained_layout.use": True, "text.usetex": False,
+    "text.usetex": False,
 }
 
 #: decorator: draw in the common style and leave the user's settings unchanged
@@ -54,18 +53,6 @@ _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, 
 class _Picture(Figure):
     """A figure that notebooks show without pyplot; it is saved whole, without empty margins."""
 
-    def draw(self, renderer: RendererBase) -> None:
-        """Draw with a layout that has settled: axes of fixed proportions move what stands next to them."""
-        before, engine = np.inf, self.get_layout_engine()
-        fixed = any(ax.name == "3d" or ax.get_aspect() != "auto" for ax in self.axes)
-        for _ in range(4 if engine is not None and fixed else 0):
-            engine.execute(self)
-            places = np.array([ax.get_position(original=True).extents for ax in self.axes])
-            if np.abs(places - before).max(initial=0.0) < 1e-3:
-                break
-            before = places
-        super().draw(renderer)
-
     def savefig(self, fname: object, **options: object) -> None:
         """Save as matplotlib does, by default with ``bbox_inches="tight"``."""
         super().savefig(fname, **{"bbox_inches": "tight", **options})
@@ -76,9 +63,9 @@ class _Picture(Figure):
         return buffer.getvalue()
 
 
-def new_figure(size: tuple[float, float]) -> Figure:
-    """Return a figure of ``size`` inches that pyplot does not keep."""
-    figure = _Picture(figsize=size)
+def new_figure(size: tuple[float, float], layout: str = "compressed") -> Figure:
+    """Return a figure of ``size`` inches that pyplot does not keep; with subfigures "constrained"."""
+    figure = _Picture(figsize=size, layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
@@ -106,11 +93,7 @@ def cells(part: Figure | SubFigure, count: int, columns: int, share: bool = Fals
 
 def entitle(ax: Axes, text: str) -> None:
     """Set a title above everything: the labels of three-dimensional axes seen from below run along the upper side."""
-    figure = ax.get_figure(root=True)
-    if ax.name == "3d" and isinstance(figure, _Picture) and figure.axes[0] is ax:
-        figure.suptitle(text, fontsize=10.5)
-    else:
-        ax.set_title(text, pad=30 if ax.name == "3d" and ax.elev < 0 else None)
+    ax.set_title(text, pad=30 if ax.name == "3d" else None)
 
 
 def legend_below(ax: Axes, handles: Sequence[Artist]) -> None:
