@@ -1,4 +1,5 @@
 """What users write, for pyright (``[tool.pyright]``): lists and tuples where arrays are taken. It is not run."""
+# pyright: reportUnnecessaryTypeIgnoreComment=true
 
 from __future__ import annotations
 
@@ -45,3 +46,16 @@ def adapt() -> float:
         am.plot.deformation(step.result, stress=True, states=True)
     table = am.Study(lambda n: {"square": n * n}, {"n": [1, 2]}).run(workers=2)
     return float(table.query("n > 1")["square"].max())
+
+
+def mistaken() -> None:
+    """What pyright must find: an ignored error that it does not see is an error."""
+    problem = posed()
+    solver = am.FullMultigrid(rtoll=1e-8)  # pyright: ignore[reportCallIssue]
+    result = am.solve(am.Hierarchy.uniform(problem, divisions=(4, 8)), solver)
+    print(result.contact.presure)  # pyright: ignore[reportAttributeAccessIssue]
+    am.plot.contact(problem)  # pyright: ignore[reportArgumentType]
+    am.plot.contcat(result)  # pyright: ignore[reportAttributeAccessIssue]
+    am.export.vtkk(result, "run.vtu")  # pyright: ignore[reportAttributeAccessIssue]
+    am.study.Grdi({"sweeps": [1, 2]})  # pyright: ignore[reportAttributeAccessIssue]
+    am.mesh.gradde(problem.domain, 1e-3)  # pyright: ignore[reportAttributeAccessIssue]
