@@ -290,7 +290,7 @@ class Hierarchy:
         if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
             raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
         first, *rest = self.levels[coarsest:finest + 1]
-        first = first.posing(prolongation=None, surface_prolongation=None, mesh_ratio=float("nan"))
+        first = first.posing(prolongation=None, surface_prolongation=None)
         return replace(self, levels=(first, *rest), timings=dict(self.timings))
 
     @one_blas_thread()
@@ -397,15 +397,11 @@ class Hierarchy:
         """Return the nonzeros of the discretised matrices on all levels over those of the finest."""
         return sum(level.matrix.nnz for level in self.levels) / self.finest.matrix.nnz
 
-    def table(self, *, ratios: bool = True) -> list[dict[str, float]]:
-        """Return one dict a level: level, nodes, contact_nodes, nonzeros, mesh_ratio (to the next coarser level).
-
-        Mesh ratios take time the first time; ``ratios=False`` leaves those out (NaN) that nobody has asked for.
-        """
+    def table(self) -> list[dict[str, float]]:
+        """Return one dict a level: level, nodes, contact_nodes, nonzeros."""
         return [{"level": k, "nodes": level.n_nodes,
                  "contact_nodes": len(level.discrete.contact) if level.discrete_or_none is not None else 0,
-                 "nonzeros": level.matrix.nnz, "mesh_ratio": level.mesh_ratio if ratios else level.known_ratio}
-                for k, level in enumerate(self.levels)]
+                 "nonzeros": level.matrix.nnz} for k, level in enumerate(self.levels)]
 
     def __repr__(self) -> str:
         return shortened(str(self))
@@ -418,11 +414,9 @@ class Hierarchy:
     def __str__(self) -> str:
         name = self.problem.name if self.problem is not None else self.finest.discrete.name
         lines = [f"Hierarchy of {len(self)} levels ({self.origin}) for {name}",
-                 f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11} {'h ratio':>8}"]
-        for row in self.table():
-            ratio = "-" if np.isnan(row["mesh_ratio"]) else f"{row['mesh_ratio']:.2f}"
-            lines.append(f"{row['level']:>5} {row['nodes']:>9} {row['contact_nodes']:>8} {row['nonzeros']:>11} "
-                         f"{ratio:>8}")
+                 f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11}"]
+        lines += [f"{row['level']:>5} {row['nodes']:>9} {row['contact_nodes']:>8} {row['nonzeros']:>11}"
+                  for row in self.table()]
         lines.append(f"grid complexity {self.grid_complexity:.3f}, "
                      f"operator complexity (discretised) {self.operator_complexity:.3f}")
         return "\n".join(lines)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._checks import indices_frozen, shape_of
-from adaptmg._on_demand import ABSENT, OnDemand, made_on_demand
+from adaptmg._on_demand import ABSENT, made_on_demand
 from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
@@ -39,8 +38,6 @@ class Level:
     prolongation : csr_array
         Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse spaces, its dofs
         (n_dofs, n_dofs coarse); the coarsest level has none.
-    mesh_ratio : float
-        Largest local ratio of mesh sizes, next coarser over this; NaN if unknown. Computed when first read.
     galerkin : bsr_array or None
         The matrix of a coarse space without a discrete problem.
     surface_prolongation : csr_array or None
@@ -58,14 +55,12 @@ class Level:
     discrete: DiscreteProblem
     mesh: MeshArrays = ABSENT
     prolongation: sparse.csr_array = ABSENT
-    mesh_ratio: float = float("nan")
     galerkin: sparse.bsr_array | None = None
     surface_prolongation: sparse.csr_array | None = None
 
     if TYPE_CHECKING:
         def __init__(self, discrete: DiscreteProblem | None, mesh: MeshArrays | None = None,
-                     prolongation: sparse.csr_array | None = None, mesh_ratio: float = ...,
-                     galerkin: sparse.bsr_array | None = None,
+                     prolongation: sparse.csr_array | None = None, galerkin: sparse.bsr_array | None = None,
                      surface_prolongation: sparse.csr_array | None = None) -> None: ...
 
     def __post_init__(self) -> None:
@@ -108,12 +103,6 @@ class Level:
     def mesh_or_none(self) -> MeshArrays | None:
         """Return ``mesh``, None of a level that comes from matrices."""
         return self.__dict__["mesh"]
-
-    @property
-    def known_ratio(self) -> float:
-        """Return ``mesh_ratio`` if it was read before, else NaN."""
-        held = self.__dict__["mesh_ratio"]
-        return float("nan") if isinstance(held, OnDemand) else held
 
     @property
     def contact_prolongation(self) -> sparse.csr_array | None:
@@ -184,13 +173,6 @@ Level.discrete = made_on_demand("discrete", "Return the problem discretised on t
 Level.mesh = made_on_demand("mesh", "Return its MeshArrays.", "this level has no mesh: it comes from matrices")
 Level.prolongation = made_on_demand("prolongation", "Return the prolongation from the next coarser level.",
                                     "the coarsest level has no prolongation")
-Level.mesh_ratio = made_on_demand("mesh_ratio", "Return the largest local ratio of mesh sizes, coarser over this.")
-
-
-def _ratio_to(coarse: MeshArrays, level: Level) -> float:
-    from adaptmg.transfer import mesh_ratio
-
-    return mesh_ratio(coarse, level.mesh)
 
 
 def the_transfer(transfer: Transfer | None) -> Transfer:
@@ -229,8 +211,7 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
 
     rows = between_levels(transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows)
     return above.posing(prolongation=indices_frozen(rows.prolongation),
-                        surface_prolongation=None if rows.surface is None else indices_frozen(rows.surface),
-                        mesh_ratio=OnDemand(partial(_ratio_to, below.mesh)))
+                        surface_prolongation=None if rows.surface is None else indices_frozen(rows.surface))
 
 
 def need_domain(problem: ContactProblem) -> None:

@@ -12,7 +12,7 @@ matrices sparse; what decides is the ratio of sizes of neighbouring levels.
 
 import time
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, starmap
 
 import numpy as np
 from common import Output, drawing, main, processor_time, timed, warm_up
@@ -98,7 +98,7 @@ def mesher(case: str, mesher: str, levels: int) -> dict:
     grids = am.Hierarchy.from_meshes(problem, meshes)
     result, seconds = timed(grids, am.FullMultigrid())
     return {"nodes": grids.finest.n_nodes, "smallest_angle": min(quality(mesh).min_angle for mesh in meshes),
-            "size_ratio": max(level.mesh_ratio for level in grids.levels[1:]), "cycles": result.cycles,
+            "size_ratio": max(starmap(am.transfer.mesh_ratio, pairwise(meshes))), "cycles": result.cycles,
             "work": result.work_units, "energy_error": 100 * energy_error(reference(case), result).relative,
             "mesh_s": meshed, "solution_s": seconds}
 

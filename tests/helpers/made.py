@@ -63,7 +63,7 @@ def result_on(mesh: MeshArrays | None, **changes: object) -> Result:
     fields = {"displacement": displacement, "contact": contact, "reaction": np.zeros_like(displacement),
               "status": Status.CONVERGED, "cycles": 11, "work_units": 47.0, "residual": 1e-9, "error_estimate": 2e-9,
               "rate": 0.2, "rtol": 1e-8, "history": history, "timings": {"setup": 0.01, "cycles": 0.2}, "path": way,
-              "levels": [{"level": k, "nodes": n, "contact_nodes": 5, "nonzeros": 100, "mesh_ratio": 2.0}
+              "levels": [{"level": k, "nodes": n, "contact_nodes": 5, "nonzeros": 100}
                          for k, n in enumerate((25, 81, 289))],
               "problem_name": "made up", "solver_name": "none", "mesh": mesh}
     return Result(**(fields | changes))
