@@ -41,11 +41,18 @@ def with_contact(result: am.Result, **changes) -> am.Result:
     return dataclasses.replace(result, contact=dataclasses.replace(result.contact, **changes))
 
 
+def without_nodes(result: am.Result, nodes: list[int]) -> am.Result:
+    c = result.contact
+    return with_contact(result, **{name: np.delete(value, nodes, axis=0) for name, value in vars(c).items()
+                                   if isinstance(value, np.ndarray) and len(value) == len(c)})
+
+
 # -- meshes and deformed bodies --------------------------------------------------------------------------------------
 
 def test_meshes_and_the_levels_of_a_hierarchy_are_drawn():
     assert "81 nodes, 128 elements" in words(plot.mesh(square(8), contact=["bottom"]))
-    assert "27 nodes" in words(plot.mesh(cube(2)))
+    figure = plot.mesh(cube(2), contact=["bottom"])
+    assert "27 nodes" in words(figure) and figure.axes[0].elev < 0  # seen from below
     colors = plot.mesh(PLANE.mesh).axes[0].collections[0].get_facecolor()
     assert sorted(np.unique(colors, axis=0, return_counts=True)[1]) == sorted(np.bincount(PLANE.mesh.element_body))
     figure = plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
@@ -112,7 +119,12 @@ def test_stress_is_that_of_each_body_in_megapascal(result):
     label = f"von Mises stress [MPa], maximum {1e-6 * stress.max():.3g}"
     (bar,) = (ax for ax in figure.axes if ax.get_ylabel() == label)
     assert bar.get_ylim()[1] == pytest.approx(1e-6 * np.quantile(stress, 0.99))
-    if result.dim == 3:
+    if result.dim == 2:
+        # the larger body below, the second one, first
+        order = np.argsort(1 - result.mesh.element_body, kind="stable")
+        colors = plt.colormaps["viridis"](np.minimum(stress / np.quantile(stress, 0.99), 1.0))
+        np.testing.assert_allclose(figure.axes[0].collections[0].get_facecolor(), colors[order], atol=0.01)
+    else:
         # rubber low, steel high: each facet shows the element behind it
         (surface,) = figure.findobj(ShadedSurface)
         lower = surface.corners.mean(axis=1)[:, 2] < -1.0
@@ -132,6 +144,9 @@ def test_contact_draws_pressure_friction_gap_and_slip():
     c, order = PLANE.contact, np.argsort(PLANE.contact.x[:, 0])
     for ax, values in zip(figure.axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], 1e6 * c.gap), strict=True):
         np.testing.assert_allclose(stated(ax), np.column_stack([1e3 * c.x[order, 0], values[order]]))
+        (curve,) = [c for c in ax.collections if isinstance(c, LineCollection)]
+        np.testing.assert_array_equal(curve.get_colors(),
+                                      [to_rgba(STATE_INKS[s]) for s in np.repeat(c.state[order], 2)[1:-1]])
     (slip,) = [drawn for drawn in figure.axes[2].lines if drawn.get_label() == "slip"]
     np.testing.assert_allclose(slip.get_ydata(), 1e6 * c.slip[order, 0])
     (band,) = [b for b in figure.axes[1].collections if isinstance(b, PolyCollection)]
@@ -175,31 +190,37 @@ def test_a_curved_contact_line_is_drawn_against_its_arc_length():
     elements = np.vstack([np.stack([k, 9 + k, 10 + k], 1), np.stack([k, 10 + k, 1 + k], 1)])
     facets = np.vstack([np.stack([9 + k, 10 + k], 1), np.stack([1 + k, k], 1)[::-1], [[0, 9], [17, 8]]])
     mesh = am.MeshArrays(np.vstack([inner, outer]), elements, facets, [0] * 8 + [1] * 10, ("bottom", "rest"))
-    (only,) = lines_of(result_on(mesh), "bottom")
+    result, h = result_on(mesh), np.linalg.norm(outer[1] - outer[0])
+    (only,) = lines_of(result, "bottom")
     assert only.label == "arc length from (2, 0) [m]"
-    np.testing.assert_allclose(only.position, np.linalg.norm(outer[1] - outer[0]) * np.arange(9))
+    np.testing.assert_allclose(only.position, h * np.arange(9))
+    (rest,) = lines_of(without_nodes(result, [np.argmax(result.contact.x[:, 0])]), "bottom")
+    assert rest.label == "arc length from ({:.4g}, {:.4g}) [m]".format(*outer[1])
+    np.testing.assert_allclose(rest.position, h * np.arange(8), atol=1e-15)
 
 
 def test_parts_without_contact_nodes_interrupt_the_line():
-    result = two_bodies(n=10)
-    keep, c = np.isin(np.arange(len(result.contact)), [4, 5], invert=True), result.contact
-    some = {name: value[keep] for name, value in vars(c).items()
-            if isinstance(value, np.ndarray) and len(value) == len(c)}
-    first, second = lines_of(with_contact(result, **some), "upper.bottom")
+    result = without_nodes(two_bodies(n=10), [4, 5])
+    first, second = lines_of(result, "upper.bottom")
     np.testing.assert_allclose(first.position, 4.0 * np.arange(4), atol=1e-9)
     np.testing.assert_allclose(second.position, 4.0 * np.arange(6, 11))
+    # of the ten edges those that touch the two nodes have no state
+    figure = plot.deformation(result, states=True)
+    (marks,) = [c for c in figure.axes[0].collections if c.get_linewidth()[0] == 2.8]
+    assert len(marks.get_segments()) == 14
 
 
 def test_surfaces_are_drawn_flat_and_a_hole_is_unrolled():
     # on the wall of a hole about the line x = 0.1, y = 0.2 along z
     angle, z = (part.ravel() for part in np.meshgrid(np.arange(-170, 180, 20.0), np.linspace(0.0, 0.03, 5)))
     normal = -np.stack([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0 * angle], 1)
-    n, zero = len(z), np.zeros((len(z), 2))
-    result = dataclasses.replace(with_contact(
-        SOLID, node=np.arange(n), x=[0.1, 0.2, 0.0] - 0.015 * normal + np.stack([0 * z, 0 * z, z], 1), u_t=zero,
-        slip=zero, frames=np.stack([normal, np.cross([0, 0, 1.0], normal), np.tile([0, 0, 1.0], (n, 1))], axis=1), force_t=zero,
-        gap=0 * z, u_n=0 * z, force_n=1e3 * z, weights=np.full(n, 1e-6), limit=0 * z, state=np.full(n, 1),
-        boundary=np.zeros(n, int)), mesh=None)
+    n, zero, flat = len(z), np.zeros((len(z), 2)), 0 * z
+    contact = dataclasses.replace(
+        SOLID.contact, node=np.arange(n), x=[0.1, 0.2, 0.0] - 0.015 * normal + np.stack([flat, flat, z], 1),
+        frames=np.stack([normal, np.cross([0, 0, 1.0], normal), np.tile([0, 0, 1.0], (n, 1))], axis=1), u_t=zero,
+        slip=zero, force_t=zero, gap=flat, u_n=flat, force_n=1e3 * z, weights=np.full(n, 1e-6), limit=flat,
+        state=np.full(n, 1), boundary=np.zeros(n, int))
+    result = dataclasses.replace(SOLID, contact=contact, mesh=None)
     flat = flattened(result, "upper.bottom")
     np.testing.assert_allclose(flat.points, np.column_stack([(angle + 360) % 360 - 180, 1e3 * z]), atol=1e-9)
     assert flat.labels == ("angle of the normal around z [°]", "z [mm]") and not flat.equal
@@ -263,7 +284,7 @@ def test_load_history_draws_quantities_and_pressures():
     figure = plot.load_history(steps, FACTORS, {}, steps=2)
     assert [ax.get_title() for ax in figure.axes] == ["load factor 0.25", "load factor 0.5"]
     assert "2 of 4 steps" in words(figure)
-    assert "load factor 1" in words(plot.load_history(steps, FACTORS, {}, steps=3))
+    assert "load factor 1" in words(plot.load_history(steps[::-1], FACTORS[::-1], {}, steps=3))
     assert len(plot.load_history(steps, FACTORS, QUANTITIES, steps=0).axes) == 2
     assert "contact pressure [MPa]" in words(plot.load_history(steps_of(SOLID), FACTORS, QUANTITIES, against="step"))
     assert len(plot.load_history(steps_of(two_pairs()), FACTORS, {}, steps=3).axes) == 6
@@ -286,6 +307,6 @@ test_refused = refused(
     (lambda: plot.history({"a": 1}), TypeError, "Result"),
     (lambda: plot.path(dataclasses.replace(BAR, path=[])), "no cycles"),
     (lambda: plot.adaptation([]), "steps"), (lambda: plot.adaptation([1]), TypeError, "steps"),
-    (lambda: plot.load_history(steps_of(PLANE), FACTORS, {"force": lambda r: np.nan}), "'force'.*step 0 must be finite"),
+    (lambda: plot.load_history(steps_of(PLANE), FACTORS, {"force": lambda r: np.nan}), "'force'.*step 0 must be"),
     (lambda: plot.load_history([*steps_of(PLANE)[:3], SOLID], FACTORS, QUANTITIES), "same mesh"),
     (lambda: plot.load_history(steps_of(PLANE), FACTORS, {}, steps=0), "nothing to draw"))
