@@ -239,8 +239,7 @@ class Condensed(Eliminated):
         """The condensed problem."""
         full, n, dim = self.full, len(self.full.system.nodes), self.full.system.dim
         fixed = full.system.fixed[self.contact]
-        dense = LocalSystem.from_matrix(sparse.bsr_array(_blocks(self.matrix, dim), shape=self.matrix.shape), fixed,
-                                        np.arange(n))
+        dense = LocalSystem.from_matrix(sparse.bsr_array(self.matrix, blocksize=(dim, dim)), fixed, np.arange(n))
         turn_held(dense.diagonal, dense.nodes, full.contact)
         return replace(full, system=dense, load=np.where(fixed, 0.0, self.reduced[1]))
 
@@ -301,12 +300,6 @@ def _eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
     """The system, and all of its condensation that does not hold the problem."""
     system = local_system(problem).system
     return system, eliminate(system, problem.coordinates, lenient=True)
-
-
-def _blocks(matrix: np.ndarray, dim: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    n = len(matrix) // dim
-    blocks = matrix.reshape(n, dim, n, dim).swapaxes(1, 2).reshape(-1, dim, dim)
-    return blocks, np.tile(np.arange(n), n), n * np.arange(n + 1)
 
 
 def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> sparse.csc_array:

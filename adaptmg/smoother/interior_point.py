@@ -89,7 +89,18 @@ class _Method:
         self.state = np.zeros((n, 8))
         self.state[:, :dim] = self.span.values(self.unknowns) + offset
         self.width = max(_LEAST * np.abs(self.state[:, :3]).max(initial=0.0), 1e-300)
-        _inside(self.state, *self.nodes, _SPRING * stiffness[:, 0])
+        self._lift(_SPRING * stiffness[:, 0])
+
+    def _lift(self, spring: np.ndarray) -> None:
+        """Start from the pressures and gaps of springs, lifted to a mean size, and bounds of slips above these."""
+        state, (gap, reference, limit, friction) = self.state, self.nodes
+        touches, rough = np.isfinite(gap), (limit > 0) | (friction > 0)
+        pressures, gaps = (spring * state[:, 0])[touches], (gap - state[:, 0])[touches]
+        slips = np.linalg.norm(state[rough, 1:3] - reference[rough], axis=1)
+        mean_pressure, mean_gap, mean_slip = (np.abs(one).sum() / max(len(one), 1) for one in (pressures, gaps, slips))
+        state[:, 4:6] = 1.0
+        state[touches, 3], state[touches, 4] = np.maximum(pressures, mean_pressure), np.maximum(gaps, mean_gap)
+        state[rough, 5] = 1.1 * slips + (mean_slip if mean_slip > 0 else max(mean_gap, 1e-300))
 
     def _factors(self) -> Callable[[np.ndarray], np.ndarray] | None:
         return self.span.factors(np.ascontiguousarray(self.blocks[:, :self.dim, :self.dim]))
@@ -100,9 +111,9 @@ class _Method:
         self.rest = self.load - product - self.span.restricted(forces)
         self.total, apart, width = _measure(self.state, *self.nodes)
         energy = max(float(self.unknowns @ product), self.least)
-        size = max(_largest(self.load), _largest(product))
+        size = np.abs([self.load, product]).max(initial=0.0)
         slack = max(self.total / energy if energy > 0 else np.inf, apart / max(self.width, width),
-                    _largest(self.rest) / size if size > 0 else 0.0)
+                    np.abs(self.rest).max(initial=0.0) / size if size > 0 else 0.0)
         return Interior(self.state[:, :self.dim].copy(), forces, self.unknowns, slack, 0)
 
     def advance(self) -> bool:
@@ -113,7 +124,7 @@ class _Method:
             return False
         self.change[:] = 0.0
         length = min(1.0, self._direct(solve, 0.0, 0.0)[1])
-        left = _after(self.state, *self.nodes, self.change, length)
+        left = _measure(self.state + length * self.change, *self.nodes)[0]
         aim = min(max(left / self.total, 0.0), 1.0)**3 if self.total > 0 else 0.0  # a product may round to zero
         more, length = self._direct(solve, aim * mean, 1.0 if length >= 0.5 else length * length)
         if _WAY * length < _SHORT:
@@ -188,16 +199,6 @@ def dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | No
     return None if info else lambda rhs: linalg.lapack.dgetrs(lower, pivots, rhs, trans=1)[0]
 
 
-@kernel
-def _largest(vector):
-    """The largest absolute value of the entries; NaN if one is."""
-    result = 0.0
-    for x in vector:
-        if abs(x) > result or np.isnan(x):
-            result = abs(x)
-    return result
-
-
 @inner_kernel
 def _cones(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
     """(dv, dq) of B dv - tau.dq = e, q dv + v dq = (e_1, e_2)."""
@@ -220,29 +221,6 @@ def _way(b, q_1, q_2, db, dq_1, dq_2):
 
 
 @kernel
-def _inside(state, gap, reference, limit, friction, spring):
-    """Pressures and gaps of a start, lifted to a mean size; bounds of slips above these."""
-    n, pressures, gaps, slips, count, rough = len(state), 0.0, 0.0, 0.0, 0, 0
-    for i in range(n):
-        if np.isfinite(gap[i]):
-            pressures += abs(spring[i] * state[i, 0])
-            gaps += abs(gap[i] - state[i, 0])
-            count += 1
-        if limit[i] > 0 or friction[i] > 0:
-            slips += np.hypot(state[i, 1] - reference[i, 0], state[i, 2] - reference[i, 1])
-            rough += 1
-    pressures, gaps, slips = pressures / max(count, 1), gaps / max(count, 1), slips / max(rough, 1)
-    for i in range(n):
-        state[i, 4] = state[i, 5] = 1.0
-        if np.isfinite(gap[i]):
-            state[i, 3] = max(spring[i] * state[i, 0], pressures)
-            state[i, 4] = max(gap[i] - state[i, 0], gaps)
-        if limit[i] > 0 or friction[i] > 0:
-            state[i, 5] = (1.1 * np.hypot(state[i, 1] - reference[i, 0], state[i, 2] - reference[i, 1])
-                           + (slips if slips > 0 else max(gaps, 1e-300)))
-
-
-@kernel
 def _measure(state, gap, reference, limit, friction):
     """The sum of the products of all pairs, the largest error of a gap, and the largest displacement."""
     total, apart, size = 0.0, 0.0, 0.0
@@ -255,12 +233,6 @@ def _measure(state, gap, reference, limit, friction):
         if limit[i] > 0 or friction[i] > 0:
             total += (limit[i] + friction[i] * p) * v - q_1 * (w_1 - reference[i, 0]) - q_2 * (w_2 - reference[i, 1])
     return total, apart, size
-
-
-@kernel
-def _after(state, gap, reference, limit, friction, change, length):
-    """The sum of the products after a step."""
-    return _measure(state + length * change, gap, reference, limit, friction)[0]
 
 
 @kernel

@@ -12,7 +12,8 @@ where the dense pseudo-inverse is one product with :math:`n^2` entries. Set-up a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -41,7 +42,7 @@ class LinearSolution:
 def solution_of(linear: LinearSolver, prepared: Prepared, rhs: np.ndarray, rtol: float) -> LinearSolution:
     """Return what a linear solver, perhaps user-defined, returns for a right-hand side, checked."""
     name = f"linear: what {checks.shown(linear)}"
-    checks.offers(f"{name} prepares", prepared, "solve", "an object that offers solve(rhs, start, rtol)")
+    checks.offers(f"{name} prepares", prepared, "solve", "an object that offers solve(rhs, rtol)")
     solution = prepared.solve(rhs, rtol=rtol)
     checks.instance(f"{name} returns", solution, LinearSolution, "a LinearSolution")
     unknowns = solution.unknowns
@@ -54,8 +55,8 @@ def solution_of(linear: LinearSolver, prepared: Prepared, rhs: np.ndarray, rtol:
 class Prepared(Protocol):
     """A matrix made ready for solves."""
 
-    def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
-        """Solve K x = rhs from ``start`` (default zero) to |rhs - K x| <= rtol |rhs|, Euclidean."""
+    def solve(self, rhs: np.ndarray, rtol: float = 1e-10) -> LinearSolution:
+        """Solve K x = rhs to |rhs - K x| <= rtol |rhs|, Euclidean."""
 
 
 class LinearSolver(Protocol):
@@ -112,8 +113,8 @@ class Factorised:
     matrix: sparse.bsr_array
     factors: OrderedFactors
 
-    def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
-        """Solve and refine; see :class:`Prepared`. ``start`` is not needed."""
+    def solve(self, rhs: np.ndarray, rtol: float = 1e-10) -> LinearSolution:
+        """Solve and refine; see :class:`Prepared`."""
         unknowns = self.factors.solve(rhs)
         unknowns += self.factors.solve(rhs - self.matrix @ unknowns)
         relative = _relative(rhs - self.matrix @ unknowns, rhs)
@@ -130,8 +131,7 @@ class AMG:
     """Smoothed aggregation (pyamg) as preconditioner of conjugate gradients, or of flexible GMRES if not symmetric.
 
     A symmetric block Gauss-Seidel sweep before and after the coarse correction; the other options are the defaults of
-    ``pyamg.smoothed_aggregation_solver``. Within one active set solve the hierarchy is kept while at most 8 dofs have
-    been eliminated or released since it was built: less set-up, more iterations.
+    ``pyamg.smoothed_aggregation_solver``.
 
     Notes
     -----
@@ -147,8 +147,6 @@ class AMG:
 
     #: Krylov iterations at most
     MAX_ITERATIONS = 500
-    #: dofs by which the eliminated ones may differ from those of a hierarchy that is kept
-    LAG = 8
     #: iterations between restarts of GMRES: on slender bodies with slip it stagnates with 50
     RESTART = 200
 
@@ -157,20 +155,16 @@ class AMG:
         """Build a hierarchy of coarse matrices; see :class:`LinearSolver`."""
         import pyamg
 
-        eliminated = None if near_nullspace is None else ~near_nullspace.any(axis=1)
-        if (isinstance(previous, Preconditioned) and eliminated is not None and previous.eliminated is not None
-                and np.count_nonzero(previous.eliminated != eliminated) <= self.LAG):
-            return Preconditioned(matrix, previous.hierarchy, symmetric, self, previous.eliminated)
         basis = matrix if preconditioner is None else preconditioner
         smoother = ("block_gauss_seidel", {"sweep": "symmetric"})
         with seeded():
             hierarchy = pyamg.smoothed_aggregation_solver(
                 sparse.bsr_matrix(basis), B=near_nullspace, symmetry="symmetric",
                 strength=("symmetric", {"theta": 0.0}), presmoother=smoother, postsmoother=smoother)
-        return Preconditioned(matrix, hierarchy, symmetric, self, eliminated)
+        return Preconditioned(matrix, hierarchy, symmetric, self)
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Preconditioned:
     """A matrix with its algebraic hierarchy; :class:`AMG` makes it."""
 
@@ -178,11 +172,8 @@ class Preconditioned:
     hierarchy: pyamg.MultilevelSolver
     symmetric: bool
     options: AMG
-    eliminated: np.ndarray | None
-    _products: int = field(default=0, init=False)
-    _cycles: int = field(default=0, init=False)
 
-    @property
+    @cached_property
     def cycle_passes(self) -> float:
         """Passes over the finest matrix that a V-cycle costs; see the module for the formula."""
         *levels, coarsest = self.hierarchy.levels
@@ -190,35 +181,36 @@ class Preconditioned:
         entries = sum(5 * level.A.nnz + 2 * level.P.nnz for level in levels)
         return (entries + coarsest.A.shape[0] ** 2) / self.hierarchy.levels[0].A.nnz
 
-    def solve(self, rhs: np.ndarray, start: np.ndarray | None = None, rtol: float = 1e-10) -> LinearSolution:
+    def solve(self, rhs: np.ndarray, rtol: float = 1e-10) -> LinearSolution:
         """Iterate until the error in the norm of the preconditioner is small, too; see :class:`Prepared`."""
         from pyamg import krylov
 
         shape, cycle = self.matrix.shape, self.hierarchy.aspreconditioner(cycle="V")
-        self._products = self._cycles = 0
+        passes = 0.0
 
         def product(x: np.ndarray) -> np.ndarray:
-            self._products += 1
+            nonlocal passes
+            passes += 1
             return self.matrix @ x.reshape(-1)
 
         def precondition(x: np.ndarray) -> np.ndarray:
-            self._cycles += 1
+            nonlocal passes
+            passes += self.cycle_passes
             return cycle @ x.reshape(-1)
 
         operator = LinearOperator(shape, matvec=product, dtype=np.float64)
         inverse = LinearOperator(shape, matvec=precondition, dtype=np.float64)
-        unknowns, iterations, tol = start, 0, rtol
+        unknowns, iterations, tol = None, 0, rtol
         size = _energy(rhs, precondition(rhs))
         while True:
             norms: list[float] = []
             left = self.options.MAX_ITERATIONS - iterations
             if self.symmetric:
-                unknowns, _ = krylov.cg(operator, rhs, x0=unknowns, tol=tol, maxiter=left, M=inverse,
-                                              residuals=norms)
+                unknowns, _ = krylov.cg(operator, rhs, x0=unknowns, tol=tol, maxiter=left, M=inverse, residuals=norms)
             else:
                 restart = min(self.options.RESTART, left, shape[0])
                 unknowns, _ = krylov.fgmres(operator, rhs, x0=unknowns, tol=tol, M=inverse, restart=restart,
-                                                  maxiter=-(-left // restart), residuals=norms)
+                                        maxiter=-(-left // restart), residuals=norms)
             iterations += max(len(norms) - 1, 0)
             residual = rhs - product(unknowns)
             error = _energy(residual, precondition(residual))
@@ -227,9 +219,7 @@ class Preconditioned:
                 break
             tol *= max(0.5 * rtol * size / error, 1e-2)
         relative = _relative(residual, rhs)
-        passes = self._products + self._cycles * self.cycle_passes
-        converged = relative <= 1.1 * rtol
-        return LinearSolution(unknowns, iterations, passes, relative, converged)
+        return LinearSolution(unknowns, iterations, passes, relative, relative <= 1.1 * rtol)
 
 
 def _energy(residual: np.ndarray, preconditioned: np.ndarray) -> float:

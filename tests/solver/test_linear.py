@@ -126,15 +126,6 @@ def test_rigid_body_modes_pay_and_few_iterations_show(monkeypatch):
         assert not solution.converged and solution.residual > 1e-10 and solution.iterations <= 3
 
 
-def test_a_hierarchy_is_kept_while_few_dofs_are_released():
-    matrix, _, modes = glued_system(bar(8))
-    first = am.AMG().setup(matrix, modes)
-    for changed, kept in ((8, True), (9, False)):
-        other = modes.copy()
-        other[np.flatnonzero(modes.any(axis=1))[:changed]] = 0.0
-        assert (am.AMG().setup(matrix, other, previous=first).hierarchy is first.hierarchy) is kept
-
-
 def contact_dofs(local: LocalProblem) -> np.ndarray:
     dim = local.system.dim
     return (dim * local.system.nodes[:, None] + np.arange(dim)).ravel()
