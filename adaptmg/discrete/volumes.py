@@ -117,14 +117,13 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     cells, points = apart(mesh)
     elements, body = mesh.elements[soft], mesh.element_body[soft]
     used, cells = np.unique(cells[soft], return_inverse=True)
-    cells, points, n = cells.reshape(elements.shape).astype(np.int32), points[used], len(used)
+    n, rank = len(used), np.empty(len(used), dtype=np.int32)
+    rank[morton_order(points[used])] = np.arange(n, dtype=np.int32)
+    cells = rank[cells.reshape(elements.shape)]
     node, body_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     node[cells], body_of[cells] = elements, body[:, None]
-    ends = (dim + 1) * np.arange(len(cells) + 1)
-    indptr, indices = pattern(elements_of_nodes(cells, n), ends, read_only(cells.reshape(-1)))
-    order, rank, group = morton_order(points), np.empty(n, dtype=np.int64), np.full(n, -1, dtype=np.int32)
-    rank[order] = np.arange(n)
-    count = gather(order, rank, indptr, indices, GROUP[dim], group)
+    ends, group = (dim + 1) * np.arange(len(cells) + 1), np.full(n, -1, dtype=np.int32)
+    count = _gather(*pattern(elements_of_nodes(cells, n), ends, read_only(cells.reshape(-1))), GROUP[dim], group)
     slopes, part = (every[soft] for every in shape_gradients(mesh))
     if is_axisymmetric(materials):
         radius = mesh.points[elements, 0].mean(axis=1)
@@ -146,67 +145,30 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
 
 
 @kernel
-def gather(order, rank, indptr, indices, size, group):
-    """Number the groups of nodes in ``group``, which comes as -1; returns their number. Seeds in ``order`` take free
-    neighbours, those with the most links to the group first; nodes that are left join the smallest group next to them.
-    """
-    n, count, left = len(group), 0, 0
-    links, candidates = np.zeros(n, dtype=np.int32), np.empty(n, dtype=np.int64)
-    members, sizes = np.empty(size, dtype=np.int64), np.zeros(n, dtype=np.int32)
-    for seed in order:
-        if group[seed] != -1:
+def _gather(indptr, indices, size, group):
+    """Number the groups of nodes in ``group``, which comes as -1; returns their number. A group grows from the first
+    free node over free neighbours, the first ones first; one that stays too small joins its smallest neighbour."""
+    n, count = len(group), 0
+    queue, sizes = np.empty(size, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    for seed in range(n):
+        if group[seed] >= 0:
             continue
-        taken, met, new = 0, 0, seed
-        while True:  # ends with size members, or without candidates
-            members[taken] = new
-            group[new] = -2
-            taken += 1
-            if taken == size:
+        queue[0], group[seed], members, best = seed, count, 1, -1
+        for k in range(size):
+            if k == members:
                 break
-            for p in range(indptr[new], indptr[new + 1]):
-                j = indices[p]
-                if group[j] == -1:
-                    if links[j] == 0:
-                        candidates[met] = j
-                        met += 1
-                    links[j] += 1
-            best = -1
-            for c in range(met):
-                j = candidates[c]
-                if group[j] == -1 and (best < 0 or links[j] > links[best]
-                                       or (links[j] == links[best] and rank[j] < rank[best])):
-                    best = j
-            if best < 0:
-                break
-            new = best
-        for c in range(met):
-            links[candidates[c]] = 0
-        if taken == size:
-            for c in range(size):
-                group[members[c]] = count
-            sizes[count] = size
-            count += 1
+            for p in range(indptr[queue[k]], indptr[queue[k] + 1]):
+                other = group[indices[p]]
+                if other < 0 and members < size:
+                    queue[members], group[indices[p]] = indices[p], count
+                    members += 1
+                elif 0 <= other < count and (best < 0 or sizes[other] < sizes[best]):
+                    best = other
+        if members < size and best >= 0:
+            for k in range(members):
+                group[queue[k]] = best
+            sizes[best] += members
         else:
-            left += taken
-    while left > 0:  # each pass leaves fewer nodes, or makes a group of one of them
-        before = left
-        for i in order:
-            if group[i] != -2:
-                continue
-            best = -1
-            for p in range(indptr[i], indptr[i + 1]):
-                g = group[indices[p]]
-                if g >= 0 and (best < 0 or sizes[g] < sizes[best] or (sizes[g] == sizes[best] and g < best)):
-                    best = g
-            if best >= 0:
-                group[i] = best
-                sizes[best] += 1
-                left -= 1
-        if left == before:
-            for i in order:
-                if group[i] == -2:
-                    group[i], sizes[count] = count, 1
-                    count += 1
-                    left -= 1
-                    break
+            sizes[count] = members
+            count += 1
     return count
