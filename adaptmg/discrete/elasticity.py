@@ -241,7 +241,7 @@ def _shape_gradients(first, last, zero, points, elements, slopes, measures):
         # the gradient of each corner's shape function, times the determinant of the edges
         for k in range(dim):
             a, b = (k + 1) % dim, (k + 2) % dim
-            if dim == 2:
+            if len(zero) == 2:
                 normals[k, 0], normals[k, 1] = (1 - 2 * k) * edges[a, 1], (2 * k - 1) * edges[a, 0]
             else:
                 for d in range(dim):
@@ -252,7 +252,7 @@ def _shape_gradients(first, last, zero, points, elements, slopes, measures):
             determinant += edges[0, d] * normals[0, d]
         if not determinant > 0.0:
             return e
-        measures[e] = determinant / (2.0 if dim == 2 else 6.0)
+        measures[e] = determinant / (2.0 if len(zero) == 2 else 6.0)
         for d in range(dim):
             slopes[e, 0, d] = 0.0
             for k in range(dim):
@@ -274,9 +274,9 @@ def _add_patches(first, last, zero, start, patches, places, begin, nodes, slopes
         for k in range(start[i], start[i + 1]):
             e, p = patches[k], places[k]
             own, x, y = rows[e], measures[e] * slopes[p, 0], measures[e] * slopes[p, 1]
-            z = measures[e] * (slopes[p, 2] if dim == 3 else hoops[p] if len(hoops) else 0.0)
+            z = measures[e] * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
             for c in range(2 * dim):
-                if dim == 3:
+                if len(zero) == 3:
                     stress[c, 0] = table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 5] * z
                     stress[c, 1] = table[own, c, 3] * x + table[own, c, 1] * y + table[own, c, 4] * z
                     stress[c, 2] = table[own, c, 5] * x + table[own, c, 4] * y + table[own, c, 2] * z
@@ -287,9 +287,9 @@ def _add_patches(first, last, zero, start, patches, places, begin, nodes, slopes
                 if nodes[q] < i:
                     continue
                 at, u, v = slot[nodes[q]], slopes[q, 0], slopes[q, 1]
-                w = slopes[q, 2] if dim == 3 else hoops[q] if len(hoops) else 0.0
+                w = slopes[q, 2] if len(zero) == 3 else hoops[q] if len(hoops) else 0.0
                 for a in range(dim):  # one addition each, for the sake of rounding
-                    if dim == 3:
+                    if len(zero) == 3:
                         data[at, a, 0] += stress[0, a] * u + stress[3, a] * v + stress[5, a] * w
                         data[at, a, 1] += stress[3, a] * u + stress[1, a] * v + stress[4, a] * w
                         data[at, a, 2] += stress[5, a] * u + stress[4, a] * v + stress[2, a] * w

@@ -105,10 +105,7 @@ def mean_initial_strain(mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric
     """Return the mean of all initial strains on each element."""
     result = np.zeros((len(mesh.elements), 3))
     for load in loads:
-        if isinstance(load, InitialStrain) and not any(map(callable, load.components)):
-            _check_components(mesh, load)
-            result[body_elements(mesh, load.body), :len(load.components)] += load.components
-        elif isinstance(load, InitialStrain):
+        if isinstance(load, InitialStrain):
             elements, strain, weights, _ = _at_quadrature_points(mesh, load, axisymmetric)
             result[elements] += np.einsum("eq,eqd->ed", weights, strain) / weights.sum(axis=1)[:, None]
     return result
@@ -139,17 +136,13 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[
     return result
 
 
-def _check_components(mesh: MeshArrays, load: InitialStrain) -> None:
+def _at_quadrature_points(mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
+                          ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric points."""
     n = len(load.components)
     if n not in (mesh.dim, 3):
         raise ValueError(f"{load!r} has {n} components on a {mesh.dim}D mesh: "
                          + ("give 3" if mesh.dim == 3 else "give 2, or 3 with the one out of the plane"))
-
-
-def _at_quadrature_points(mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
-                          ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric points."""
-    _check_components(mesh, load)
     elements = body_elements(mesh, load.body)
     rule, points, weights = integration(mesh.points, mesh.elements[elements], mesh.volumes[elements], axisymmetric)
     strain = np.zeros((*points.shape[:2], 3))

@@ -69,23 +69,9 @@ class DiscreteProblem(Unknowns):
         Rigid-body modes of the free body; made from ``coordinates`` where not given.
     name : str
         For tables.
-    coupling : Coupling, optional
-        Says that all of the above is in relative coordinates; see :meth:`coupled`.
-    bodies : mapping of str to (n,) int arrays, optional
-        Nodes of each body by name, for messages.
-    strain_free : pair of (n_dofs,) array and float, optional
-        Of initial strains the part of ``load``, N, and the energy of suppressing them, N m; see :meth:`stress_energy`.
-    inclined : Inclined, optional
-        Supports along directions that are no axes, which are eliminated from matrix and load
-        (:mod:`adaptmg.discrete.supports`).
-    ties : tuple of (str, str, (n,) int array)
-        Slave and master boundary, and slave nodes whose relative displacement is fixed to zero
-        (:mod:`adaptmg.discrete.sides`).
-    stops : Stops, optional
-        Obstacles that what supports prescribe must not cross (:class:`~adaptmg.discrete.contact_nodes.Stops`).
-    volumes : Volumes, optional
-        Of nearly incompressible bodies the groups of nodes whose mean volume strains add to the stiffness
-        (:mod:`adaptmg.discrete.volumes`).
+    coupling, bodies, strain_free, inclined, ties, stops, volumes
+        What :func:`adaptmg.discretise` adds for several bodies (:meth:`coupled` makes the coupling), initial strains,
+        supports along directions that are no axes, ties, moving obstacles and nearly incompressible bodies.
 
     Examples
     --------
@@ -107,13 +93,15 @@ class DiscreteProblem(Unknowns):
     coordinates: np.ndarray | None = None
     near_nullspace: np.ndarray | Any = None  # Any: only problems without coordinates need the test for None
     name: str = "discrete problem"
-    coupling: Coupling | None = None
-    bodies: Mapping[str, np.ndarray] | None = None
+    coupling: Coupling | None = None  # says that all of the above is in relative coordinates
+    bodies: Mapping[str, np.ndarray] | None = None  # nodes of each body by name, for messages
+    # of initial strains the part of the load, N, and the energy of suppressing them, N m
     strain_free: tuple[np.ndarray, float] | None = None
-    inclined: Inclined | None = None
+    inclined: Inclined | None = None  # supports along no axes, which are eliminated from matrix and load
+    # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
     ties: tuple[tuple[str, str, np.ndarray], ...] = ()
-    stops: Stops | None = None
-    volumes: Volumes | None = None
+    stops: Stops | None = None  # obstacles that what supports prescribe must not cross
+    volumes: Volumes | None = None  # groups of nodes whose mean volume strains add to the stiffness
 
     if TYPE_CHECKING:
         def __init__(self, *, matrix: sparse.sparray | sparse.spmatrix, load: ArrayLike, fixed: ArrayLike, law: Law,

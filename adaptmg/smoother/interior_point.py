@@ -118,6 +118,7 @@ class _Method:
 
     def advance(self) -> bool:
         """Take a step, or return False where there is none."""
+        self.blocks[:] = 0.0
         _eliminate(self.state, *self.nodes, self.blocks)
         solve, mean = self._factors(), self.total / self.pairs
         if solve is None or not self.total > 0:
@@ -141,7 +142,7 @@ class _Method:
                 ) -> tuple[np.ndarray, float]:
         """The change of the unknowns towards complementarity of ``target``, with second-order terms of the last change
         times ``weight``; and how far it may go. The change of the state is left in ``change``."""
-        sides = np.empty((len(self.state), 3))
+        sides = np.zeros((len(self.state), 3))
         _sides(self.state, *self.nodes, self.change, target, weight, self.terms, sides)
         more = solve(self.rest + self.span.restricted(sides[:, :self.dim]))
         self.change[:, :self.dim] = self.span.values(more)
@@ -200,6 +201,12 @@ def dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | No
 
 
 @inner_kernel
+def _node(state, i):
+    """The state of a node as a tuple."""
+    return state[i, 0], state[i, 1], state[i, 2], state[i, 3], state[i, 4], state[i, 5], state[i, 6], state[i, 7]
+
+
+@inner_kernel
 def _cones(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
     """(dv, dq) of B dv - tau.dq = e, q dv + v dq = (e_1, e_2)."""
     dv = (e + (t_1 * e_1 + t_2 * e_2) / v) / (b + (t_1 * q_1 + t_2 * q_2) / v)
@@ -225,7 +232,7 @@ def _measure(state, gap, reference, limit, friction):
     """The sum of the products of all pairs, the largest error of a gap, and the largest displacement."""
     total, apart, size = 0.0, 0.0, 0.0
     for i in range(len(state)):
-        w, w_1, w_2, p, y, v, q_1, q_2 = state[i]
+        w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
         size = max(size, abs(w), abs(w_1), abs(w_2))
         if np.isfinite(gap[i]):
             total += p * y
@@ -239,10 +246,9 @@ def _measure(state, gap, reference, limit, friction):
 def _eliminate(state, gap, reference, limit, friction, blocks):
     """The blocks that the eliminated (v, q_t) and p add at each node."""
     for i in range(len(state)):
-        _, w_1, w_2, p, y, v, q_1, q_2 = state[i]
+        _, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
         t_1, t_2, mu = w_1 - reference[i, 0], w_2 - reference[i, 1], friction[i]
         b = limit[i] + mu * p
-        blocks[i] = 0.0
         if np.isfinite(gap[i]):
             blocks[i, 0, 0] = p / y
         if limit[i] > 0 or mu > 0:
@@ -256,13 +262,12 @@ def _eliminate(state, gap, reference, limit, friction, blocks):
 def _sides(state, gap, reference, limit, friction, before, target, weight, terms, sides):
     """Right-hand sides of the nodes, and what :func:`_complete` needs of them."""
     for i in range(len(state)):
-        w, w_1, w_2, p, y, v, q_1, q_2 = state[i]
-        _, d_1, d_2, dp, dy, dv, dq_1, dq_2 = before[i]
+        w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
+        _, d_1, d_2, dp, dy, dv, dq_1, dq_2 = _node(before, i)
         t_1, t_2, mu = w_1 - reference[i, 0], w_2 - reference[i, 1], friction[i]
         b, shift = limit[i] + mu * p, 0.0
         if np.isfinite(gap[i]):
             shift = (target - p * y - weight * dp * dy - p * (gap[i] - w - y)) / y
-        sides[i] = 0.0
         sides[i, 0] = terms[i, 0] = -shift
         if limit[i] > 0 or mu > 0:
             e = target - (b * v - q_1 * t_1 - q_2 * t_2) - weight * (mu * dp * dv - dq_1 * d_1 - dq_2 * d_2)
@@ -279,7 +284,7 @@ def _complete(state, gap, reference, limit, friction, terms, change):
     """The change of the eliminated unknowns from that of w; returns how far it may go."""
     longest = 1e30
     for i in range(len(state)):
-        w, w_1, w_2, p, y, v, q_1, q_2 = state[i]
+        w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
         t_1, t_2, mu = w_1 - reference[i, 0], w_2 - reference[i, 1], friction[i]
         d, d_1, d_2 = change[i, 0], change[i, 1], change[i, 2]
         b, dp = limit[i] + mu * p, 0.0

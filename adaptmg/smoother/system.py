@@ -67,10 +67,7 @@ class LocalSystem:
         if not matrix.has_sorted_indices:
             matrix = matrix.sorted_indices()
         indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
-        rows = np.repeat(np.arange(n_nodes), np.diff(indptr))
-        diagonal = np.zeros((n_nodes, dim, dim))
-        on_diagonal = rows == indices
-        diagonal[rows[on_diagonal]] = matrix.data[on_diagonal]
+        diagonal = _diagonal_blocks(matrix)
         contact_of = np.full(n_nodes, -1, dtype=np.int32)
         contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
         return cls(dim=dim, indptr=indptr, indices=indices, data=np.ascontiguousarray(matrix.data).reshape(-1),
@@ -95,6 +92,14 @@ class LocalSystem:
         """Return the matrix, sharing memory."""
         blocks = self.data.reshape(-1, self.dim, self.dim)
         return sparse.bsr_array((blocks, self.indices, self.indptr), shape=(self.n_dofs, self.n_dofs), copy=False)
+
+
+def _diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
+    n, dim = len(matrix.indptr) - 1, matrix.blocksize[0]
+    rows, result = np.repeat(np.arange(n), np.diff(matrix.indptr)), np.zeros((n, dim, dim))
+    at = np.flatnonzero(rows == matrix.indices)
+    result[rows[at]] = matrix.data[at]
+    return result
 
 
 def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
@@ -163,14 +168,9 @@ def held_tangents(problem: DiscreteProblem) -> np.ndarray:
 @remembered_of_structure
 def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     """Return the diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as
-    :func:`local_system` has them. Without rotating the matrix: only these blocks are read."""
-    matrix, nodes, (contact, frames) = problem.matrix, problem.contact.nodes, local_contact(problem)
-    counts = np.diff(matrix.indptr)[nodes]
-    at = np.repeat(matrix.indptr[nodes] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
-    blocks = np.zeros((len(nodes), problem.dim, problem.dim))
-    own = matrix.indices[at] == np.repeat(nodes, counts)
-    blocks[np.repeat(np.arange(len(nodes)), counts)[own]] = matrix.data[at[own]]
-    blocks = np.einsum("nij,njk,nlk->nil", frames, blocks, frames)
+    :func:`local_system` has them, without rotating the matrix."""
+    nodes, (contact, frames) = problem.contact.nodes, local_contact(problem)
+    blocks = np.einsum("nij,njk,nlk->nil", frames, _diagonal_blocks(problem.matrix)[nodes], frames)
     free = np.ones((len(nodes), problem.dim))
     free[:, 1:] = ~held_tangents(problem)
     mask = free[:, :, None] * free[:, None, :] + np.einsum("ni,ij->nij", 1 - free, np.eye(problem.dim))

@@ -312,7 +312,7 @@ test_refusals = refused(
     (lambda: am.solve(grids(0.45), am.Multigrid(correction=am.Monotone())), "correction Monotone cannot solve"),
     (lambda: am.solve(grids(0.45), am.FullMultigrid(correction=am.PaperCorrection())), "PaperCorrection cannot solve"),
     (lambda: am.solve(grids(0.45), am.ActiveSet(nested_start=True)), "no nested start for smoothed elements"),
-    (lambda: am.solve(grids(0.45), Forgetful()), TypeError, "with the pressures of"),
+    (lambda: am.solve(grids(0.45), Forgetful()), TypeError, "pressures must be those of"),
     (lambda: replace(grids(0.45).finest.discrete, volumes="none"), TypeError, "volumes must be"),
     (lambda: am.solve(grids(0.45), am.Multigrid(), start=replace(am.solve(grids(0.45)), pressures=np.zeros(3))),
      "start.pressures must have shape"),
