@@ -67,11 +67,11 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
         patches, of_elements = _around_edges(mesh, axisymmetric), moduli(mesh, materials, EDGE_PART)
     else:
         patches, of_elements = _of_elements(mesh, axisymmetric), moduli(mesh, materials)
-    of_nodes = transposed(patches.start, patches.nodes, mesh.n_nodes)
+    of_nodes = patches_of_nodes(patches.start, patches.nodes, mesh.n_nodes)
     indptr, indices = pattern(of_nodes, patches.start, patches.nodes)
     data = np.empty((len(indices), dim, dim))
-    in_parts(_add_patches, mesh.n_nodes, data.size, (0.0,) * dim, of_nodes.indptr, of_nodes.indices, of_nodes.data,
-             patches.start, patches.nodes, patches.slopes, patches.hoops, patches.spread, patches.measures,
+    in_parts(_add_patches, mesh.n_nodes, data.size, (0.0,) * dim, of_nodes.indptr, of_nodes.indices, patches.start,
+             patches.nodes, patches.slopes, patches.hoops, patches.spread, patches.measures,
              of_elements.rows[patches.element], of_elements.table, indptr, indices, data)
     in_parts(_mirror, mesh.n_nodes, data.size, indptr, indices, data)
     if len(indices) < 2**31:
@@ -93,13 +93,13 @@ class _Patches:
     slopes: np.ndarray  # (n, dim)
     hoops: np.ndarray  # (n,), or (0,)
     measures: np.ndarray  # (n_patches,): volumes
-    element: np.ndarray  # (n_patches,): an element there
+    element: np.ndarray | slice  # (n_patches,): an element there
     spread: np.ndarray  # (n, corners), or (0, 0): what C of the hoop strains within an element multiplies
 
 
 def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
     slopes, measures = shape_gradients(mesh)
-    n, corners, dim = slopes.shape
+    _, corners, dim = slopes.shape
     hoops, spread = np.empty(0), np.empty((0, 0))
     if axisymmetric:
         radii, (rule, weights) = mesh.points[mesh.elements, 0], quadrature_rule(corners, AXISYMMETRIC_DEGREE)
@@ -109,8 +109,8 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
         at_points = 2 * np.pi * measures[:, None] * (weights / (radii @ rule.T))
         spread = (at_points @ (rule[:, :, None] * rule[:, None]).reshape(len(rule), -1)).reshape(-1, corners)
         hoops, measures = np.repeat(1 / (3 * mean), corners), 2 * np.pi * mean * measures
-    return _Patches(corners * np.arange(n + 1), mesh.elements.reshape(-1), slopes.reshape(-1, dim), hoops, measures,
-                    np.arange(n), spread)
+    return _Patches(np.arange(0, slopes.size // dim + 1, corners), mesh.elements.reshape(-1), slopes.reshape(-1, dim),
+                    hoops, measures, slice(None), spread)
 
 
 def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
@@ -139,8 +139,9 @@ def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
 
 def _elements_of_edges(mesh: MeshArrays) -> sparse.csr_array:
     """The elements (n_edges, n_elements) around each edge of each body, as ones."""
-    ends = np.sort(mesh.elements[:, _EDGES[mesh.dim]], axis=2).astype(np.int64)
-    keys = (mesh.element_body[:, None] * np.int64(mesh.n_nodes) + ends[:, :, 0]) * mesh.n_nodes + ends[:, :, 1]
+    a, b = (mesh.elements[:, ends] for ends in _EDGES[mesh.dim].T)
+    first = mesh.element_body[:, None] * np.int64(mesh.n_nodes) + np.minimum(a, b)
+    keys = first * mesh.n_nodes + np.maximum(a, b)
     number, (n, k) = np.unique(keys, return_inverse=True)[1].reshape(-1), keys.shape
     edges = sparse.csr_array((np.ones(n * k), number, k * np.arange(n + 1)), shape=(n, number.max() + 1))
     return sparse.csr_array(edges.T)
@@ -165,16 +166,15 @@ def shape_gradients(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     return slopes, measures
 
 
-def transposed(start: np.ndarray, nodes: np.ndarray, n_nodes: int) -> sparse.csc_array:
-    """Return for patches, which have the nodes ``nodes[start[p]:start[p + 1]]``, the patches of each node (n_patches,
-    n_nodes), ascending, and where it stands among ``nodes``."""
-    places = np.arange(len(nodes), dtype=np.int32 if len(nodes) < 2**31 else np.int64)
-    return sparse.csr_array((places, nodes, start), shape=(len(start) - 1, n_nodes)).tocsc()
+def patches_of_nodes(start: np.ndarray, nodes: np.ndarray, n_nodes: int) -> sparse.csc_array:
+    """Return the patches of each node (n_patches, n_nodes), ascending; patch p has ``nodes[start[p]:start[p + 1]]``."""
+    ones = np.ones(len(nodes), dtype=np.int8)
+    return sparse.csr_array((ones, nodes, start), shape=(len(start) - 1, n_nodes)).tocsc()
 
 
 def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> sparse.csc_array:
-    """Return the elements of each node, ascending; see :func:`transposed`."""
-    return transposed(elements.shape[1] * np.arange(len(elements) + 1), elements.reshape(-1), n_nodes)
+    """Return the elements of each node (n_elements, n_nodes), ascending."""
+    return patches_of_nodes(np.arange(0, elements.size + 1, elements.shape[1]), elements.reshape(-1), n_nodes)
 
 
 def pattern(of_nodes: sparse.csc_array, start: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -262,17 +262,19 @@ def _shape_gradients(first, last, zero, points, elements, slopes, measures):
 
 
 @kernel
-def _add_patches(first, last, zero, start, patches, places, begin, nodes, slopes, hoops, spread, measures, rows, table,
-                 indptr, indices, data):
-    """Write the upper half of rows: node i is in ``patches[start[i]:start[i + 1]]``, in each at ``places``."""
-    dim, slot = len(zero), np.empty(len(indptr) - 1, dtype=np.int64)
-    stress = np.empty((2 * len(zero), len(zero)))
+def _add_patches(first, last, zero, start, patches, begin, nodes, slopes, hoops, spread, measures, rows, table, indptr,
+                 indices, data):
+    """Write the upper half of rows: node i is in ``patches[start[i]:start[i + 1]]``."""
+    dim, slot, stress = len(zero), np.empty(len(indptr) - 1, dtype=np.int64), np.empty((2 * len(zero), len(zero)))
     for i in range(first, last):
         for at in range(indptr[i], indptr[i + 1]):
             slot[indices[at]] = at
         data[slot[i]:indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
-            e, p = patches[k], places[k]
+            e = patches[k]
+            p = begin[e]
+            while nodes[p] != i:  # the patch has the node
+                p += 1
             own, x, y = rows[e], measures[e] * slopes[p, 0], measures[e] * slopes[p, 1]
             z = measures[e] * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
             for c in range(2 * dim):
@@ -325,6 +327,8 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
     for nodes in nodes_of_pieces(mesh):
         if axisymmetric:
             modes = np.tile([[0.0], [1 / np.sqrt(len(nodes))]], (len(nodes), 1))
+        elif len(nodes) == mesh.n_nodes:
+            return rigid_body_modes(mesh.points)
         else:
             modes = rigid_body_modes(mesh.points[nodes])
         column = np.zeros((mesh.n_nodes, mesh.dim, modes.shape[1]))
@@ -348,11 +352,16 @@ def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
 
 @one_blas_thread()
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
-    """Return the translations and rotations (n_dofs, k) of points, orthonormal."""
-    n, dim = points.shape
-    x, planes = points - points.mean(axis=0), ((0, 1),) if dim == 2 else ((0, 1), (1, 2), (2, 0))
-    modes = np.zeros((n, dim, dim + len(planes)))
-    modes[:, range(dim), range(dim)] = 1.0
-    for k, (a, b) in enumerate(planes):
-        modes[:, a, dim + k], modes[:, b, dim + k] = -x[:, b], x[:, a]
-    return np.linalg.qr(modes.reshape(n * dim, -1))[0]
+    """Return the translations and, about the principal axes at the centroid, rotations (n_dofs, k) of points,
+    orthonormal."""
+    (n, dim), x = points.shape, points - points.mean(axis=0)
+    spins = [[[0.0, 1.0], [-1.0, 0.0]]] if dim == 2 else np.cross(np.linalg.eigh(x.T @ x)[1].T[:, None], np.eye(3))
+    modes = np.zeros((n, dim, dim + len(spins)))
+    modes[:, range(dim), range(dim)] = 1 / np.sqrt(n)
+    sizes = np.empty(len(spins))
+    for k, spin in enumerate(spins):
+        turn = x @ np.array(spin)
+        sizes[k] = np.linalg.norm(turn)
+        modes[:, :, dim + k] = turn / (sizes[k] or 1.0)
+    modes = modes.reshape(n * dim, -1)
+    return modes if sizes.min() > 1e-9 * sizes.max() else np.linalg.qr(modes)[0]  # points on a line

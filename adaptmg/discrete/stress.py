@@ -61,7 +61,7 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """Return the gradients d u_i / d x_j (n_elements, dim, dim)."""
     slopes, _ = shape_gradients(mesh)
-    return np.einsum("nki,nkj->nij", _nodal(mesh, displacement)[mesh.elements], slopes)
+    return _nodal(mesh, displacement)[mesh.elements].swapaxes(1, 2) @ slopes
 
 
 def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
