@@ -8,8 +8,8 @@ therefore ask for
 
 (L. Y. Li and P. Bettess, Appl. Mech. Rev. 50, 1997, doi:10.1115/1.3101670), kept between two bounds, averaged at the
 nodes (geometric mean over their elements) and graded: the largest sizes below these with
-:math:`h_i \le h_j + g\,|x_i - x_j|` for every edge ij. The secant method finds c for a number of nodes. A mesh of sizes
-h has about
+:math:`h_i \le h_j + g\,|x_i - x_j|` for every edge ij. The constant c follows from the number of nodes that are wanted.
+A mesh of sizes h has about
 
 .. math:: N = q \Bigl(a_d \int h^{-d}\,dx + b_d \int_{\partial\Omega} h^{1-d}\,ds\Bigr), \qquad
           a_2 = 2/\sqrt3,\; b_2 = 1/2,\; a_3 = 1.4,\; b_3 = 0.6
@@ -20,15 +20,15 @@ nodes, where q makes it exact for the present mesh.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
 
 from adaptmg import _checks as checks
-from adaptmg._numba import kernel
-from adaptmg.discrete.elasticity import elements_of_nodes
 from adaptmg.estimate.estimate import Estimate, estimate_for
 from adaptmg.geometry.location import SimplexLocator
 from adaptmg.level import meshed_domain, need_domain
@@ -37,8 +37,6 @@ from adaptmg.problem import ContactProblem
 
 #: growth of sizes per distance
 _GRADATION = 0.3
-#: share of the nodes by which a mesh may miss the expected number without being made again
-_MISSED = 0.15
 #: the part of ``max_nodes`` that is aimed at; how many meshes before it grow alike, by which part of a step more
 _BELOW = 0.95
 _LAST, _LONGER = 2, 0.2
@@ -97,27 +95,23 @@ class Remesh:
         """
         need_domain(problem)
         estimate_for(checks.instance("mesh", mesh, MeshArrays), estimate)
-        aim = _aim(mesh.n_nodes, max_nodes, self.growth)
-        sizes = self._equilibrated(problem, mesh, estimate, aim)
+        sizes = self._equilibrated(problem, mesh, estimate, _aim(mesh.n_nodes, max_nodes, self.growth))
         factors = (sizes / nodal_sizes(mesh, simplex_sizes(mesh)))[mesh.elements].min(axis=1)
         # much of the error lies in elements that are to become much smaller
         if self.growth > _SLOW and estimate.squares[factors < _STEEP].sum() > _SHARE * estimate.squares.sum():
-            aim = _aim(mesh.n_nodes, max_nodes, _SLOW)
-            sizes = self._equilibrated(problem, mesh, estimate, aim)
-        made, expected = self.mesh(problem, SizeField(mesh, sizes)), NodeCount(mesh)(sizes)
-        if not abs(made.n_nodes - expected) <= _MISSED * expected:
-            # mostly coarse meshes in 3D, which follow sizes badly and cost little
-            sizes = self._equilibrated(problem, mesh, estimate, aim * expected / made.n_nodes)
-            again = self.mesh(problem, SizeField(mesh, sizes))
-            made = min(made, again, key=lambda new: abs(math.log(new.n_nodes / expected)))
-        return made
+            sizes = self._equilibrated(problem, mesh, estimate, _aim(mesh.n_nodes, max_nodes, _SLOW))
+        return self.mesh(problem, SizeField(mesh, sizes))
 
     def _equilibrated(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, aim: float
                       ) -> np.ndarray:
-        """Sizes (n_nodes,) for a mesh of about ``aim`` nodes, m."""
+        """Sizes (n_nodes,) for a mesh of about ``aim`` nodes, m; contact boundaries keep four edges at least."""
         sizes = equilibrated_sizes(mesh, estimate.squares, aim, finest=self.finest, coarsest=self.coarsest,
                                    growth=_GRADATION)
-        return _resolving(mesh, sizes, problem.pair_boundaries, _GRADATION)
+        for name in problem.pair_boundaries:
+            surface = mesh.surface(name)
+            largest = surface.measures.sum() ** (1 / (mesh.dim - 1)) / _EDGES
+            sizes[surface.nodes] = np.minimum(sizes[surface.nodes], largest)
+        return graded_sizes(mesh, sizes, _GRADATION)
 
     def intermediate(self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays) -> MeshArrays:
         """Return a mesh between two neighbouring levels, of the geometric mean of both sizes.
@@ -151,7 +145,8 @@ _INSIDE = {2: 2 / math.sqrt(3), 3: 1.4}
 _BOUNDARY = {2: 0.5, 3: 0.6}
 # squares below this share of the largest ask for nothing: the upper bound of growth holds there anyway
 _TINY = 1e-30
-_MAX_STEPS = 60
+# of the logarithm of c
+_ACCURACY = 2e-3
 
 
 def simplex_sizes(mesh: MeshArrays) -> np.ndarray:
@@ -186,94 +181,50 @@ class NodeCount:
         at = 0.5 * (at + at.mean(axis=1, keepdims=True))
         on = sizes[mesh.facets]
         on = 0.5 * (on + on.mean(axis=1, keepdims=True))
-        inside, boundary = (at**-mesh.dim).sum(axis=1), (on ** (1 - mesh.dim)).sum(axis=1)
+        inside, boundary = (1 / at**mesh.dim).sum(axis=1), (1 / on ** (mesh.dim - 1)).sum(axis=1)
         return self.factor * float(self.inside @ inside + self.boundary @ boundary)
 
 
 def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, *, finest: float = 0.25,
                        coarsest: float = 1.5, growth: float = 0.3) -> np.ndarray:
     """Return sizes at the nodes of a mesh, for a new mesh of about ``n_nodes`` nodes."""
+    from scipy.optimize import brentq  # takes long to import
+
     largest = squares.max()
     share = np.maximum(squares / largest, _TINY) if largest > 0 else np.ones(len(squares))
     factors = share ** (-1 / (2 + mesh.dim))
-    old = simplex_sizes(mesh)
-    at_nodes, count = elements_of_nodes(mesh.elements, mesh.n_nodes), NodeCount(mesh)
+    old, count, edges = simplex_sizes(mesh), NodeCount(mesh), _edges(mesh)
 
     def sizes(log_c: float) -> np.ndarray:
         new = old * np.clip(math.exp(log_c) * factors, finest, coarsest)
-        return graded_sizes(mesh, nodal_sizes(mesh, new), growth, at_nodes)
+        return graded_sizes(mesh, nodal_sizes(mesh, new), growth, edges)
+
+    @cache
+    def excess(log_c: float) -> float:
+        return math.log(count(sizes(log_c)) / n_nodes)
 
     low, high = math.log(finest / factors.max()), math.log(coarsest / factors.min())
-    return sizes(_constant(lambda x: math.log(count(sizes(x)) / n_nodes), low, high, mesh.dim))
+    if excess(low) <= 0.0:
+        return sizes(low)
+    return sizes(high if excess(high) >= 0.0 else brentq(excess, low, high, xtol=_ACCURACY))
 
 
-def _constant(excess: Callable[[float], float], low: float, high: float, dim: int) -> float:
-    """Where in [low, high] the falling function ``excess`` is within .005 of zero; an end if it has no zero."""
-    # nodes go like c^-d where no bound holds
-    x, slope, before = 0.5 * (low + high), -float(dim), None
-    for _ in range(_MAX_STEPS):
-        value = excess(x)
-        if abs(value) < 5e-3 or high - low < 1e-6:
-            break
-        low, high = (x, high) if value > 0 else (low, x)
-        if before is not None and value != before[1]:
-            slope = min((value - before[1]) / (x - before[0]), -0.1 * dim)
-        before = x, value
-        step = x - value / slope
-        x = step if low < step < high else 0.5 * (low + high)
-    return x
+def _edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both ends and lengths of the edges of a mesh."""
+    i, j = (mesh.elements[:, corners].ravel().astype(np.int64) for corners in np.triu_indices(mesh.dim + 1, 1))
+    i, j = np.divmod(np.unique(np.minimum(i, j) * mesh.n_nodes + np.maximum(i, j)), mesh.n_nodes)
+    return i, j, np.linalg.norm(mesh.points[i] - mesh.points[j], axis=1)
 
 
 def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float,
-                 at_nodes: sparse.csc_array | None = None) -> np.ndarray:
+                 edges: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None) -> np.ndarray:
     """Return the largest sizes below these that grow by at most ``growth`` per distance along edges."""
-    result, waiting = np.array(sizes, dtype=np.float64), np.ones(len(sizes), dtype=np.bool_)
-    at_nodes = elements_of_nodes(mesh.elements, mesh.n_nodes) if at_nodes is None else at_nodes
-    _relax(mesh.points, mesh.elements, at_nodes.indptr, at_nodes.indices, float(growth), result, np.argsort(result),
-           waiting)
-    return result
-
-
-@kernel
-def _relax(points, elements, start, items, growth, sizes, queue, waiting):
-    """Lower ``sizes`` in place; ``queue`` (n_nodes,) holds all nodes, smallest first, ``waiting`` all True. Dijkstra's
-    method with a queue in place of a heap: a node returns to it where its size has fallen meanwhile."""
-    n, dim = len(queue), points.shape[1]
-    first, count = 0, n
-    while count > 0:  # n rounds through the queue at most: shortest paths have fewer than n edges
-        i = queue[first]
-        first = first + 1 if first + 1 < n else 0
-        count -= 1
-        waiting[i] = False
-        for s in range(start[i], start[i + 1]):
-            e = items[s]
-            for k in range(elements.shape[1]):
-                j = elements[e, k]
-                if sizes[j] <= sizes[i]:
-                    continue
-                squared = 0.0
-                for c in range(dim):
-                    squared += (points[i, c] - points[j, c]) ** 2
-                bound = sizes[i] + growth * np.sqrt(squared)
-                if sizes[j] > bound:
-                    sizes[j] = bound
-                    if not waiting[j]:
-                        waiting[j] = True
-                        last = first + count
-                        queue[last - n if last >= n else last] = j
-                        count += 1
-
-
-def _resolving(mesh: MeshArrays, sizes: np.ndarray, boundaries: Sequence[str], growth: float) -> np.ndarray:
-    """Sizes that leave each of some boundaries at least four edges: contact needs nodes, whatever its error."""
-    result = np.array(sizes, dtype=np.float64)
-    for name in boundaries:
-        surface = mesh.surface(name)
-        size = surface.measures.sum() ** (1 / (mesh.dim - 1))
-        result[surface.nodes] = np.minimum(result[surface.nodes], size / _EDGES)
-    if (result == sizes).all():
-        return sizes
-    return graded_sizes(mesh, result, growth)
+    n, (i, j, lengths) = mesh.n_nodes, _edges(mesh) if edges is None else edges
+    # sizes are distances from a further node, whose edge to each of the others is as long as the size there
+    weights = np.concatenate([growth * lengths, sizes])
+    ends = np.append(i, np.full(n, n)), np.append(j, np.arange(n))
+    graph = sparse.csr_array((weights, ends), shape=(n + 1, n + 1))
+    return dijkstra(graph, directed=False, indices=n)[:n]
 
 
 @dataclass(frozen=True, eq=False)

@@ -304,21 +304,11 @@ def _on_surface(mesh: MeshArrays, contact: ContactResult, name: str, on_slave: n
             filled[at] = True
     values = np.divide(force, mass[:, None], out=np.zeros_like(force), where=mass[:, None] > 0)
     if name in contact.names and not filled.all():
-        _continue(contact, surface, filled, values)
+        # nodes that belong to another contact boundary
+        of_node = np.zeros((2, *mesh.points.shape))
+        of_node[:, contact.node] = contact.normal, contact.force / contact.weights[:, None]
+        normals, tractions = of_node[:, nodes]
+        straight = ~filled & (np.einsum("nd,nd->n", normals, surface.node_normals[nodes]) > _STRAIGHT)
+        values[straight] = tractions[straight]
+        _fill(surface, filled | straight | ~normals.any(axis=1), values)
     return SurfaceTraction(surface.facets, nodes, values)
-
-
-def _continue(contact: ContactResult, surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
-    """Fill ``values`` in at nodes that belong to another contact boundary; elsewhere nothing touches."""
-    nodes, place = surface.nodes, np.searchsorted(surface.nodes, surface.facets)
-    for i in np.flatnonzero(~filled & np.isin(nodes, contact.node)):
-        here = (place == i).any(axis=1)
-        normal = surface.vectors[here].sum(axis=0)
-        j = int(np.argmax(contact.node == nodes[i]))
-        if normal @ contact.normal[j] > _STRAIGHT * np.linalg.norm(normal):
-            values[i] = contact.force[j] / contact.weights[j]
-        else:
-            near = np.unique(place[here])
-            near = near[filled[near]]
-            if len(near):
-                values[i] = values[near].mean(axis=0)
