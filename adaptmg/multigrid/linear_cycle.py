@@ -17,10 +17,8 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
-from adaptmg.multigrid import half_sweeps
 from adaptmg.multigrid.corrections import Recorder
-from adaptmg.multigrid.half_sweeps import add_prolonged, restrict
-from adaptmg.multigrid.split_matrix import SplitMatrix
+from adaptmg.multigrid.split_matrix import SplitMatrix, add_prolonged, gauss_seidel, restrict, subtract_half
 from adaptmg.smoother.blocks import ZERO
 
 
@@ -76,25 +74,27 @@ class LinearLevel:
             passes = self.smoother.smooth(load, u)
             rest[:] = load - self.smoother.matrix @ u
             return passes + 1
-        matrix.sweep(half_sweeps.forward_from_zero, *matrix.lower_arrays, matrix.inverse, load, u, rest)
+        lower, upper, none = matrix.lower_arrays, matrix.upper_arrays, matrix.no_half
+        matrix.sweep(gauss_seidel, False, *lower, *none, matrix.inverse, load, u, rest)
         if self.sweeps == 1:
-            matrix.sweep(half_sweeps.forward_residual, *matrix.upper_arrays, u, rest)
+            rest[:] = 0.0
+            matrix.sweep(subtract_half, *upper, u, rest)
             return 1.0  # L, U
-        matrix.sweep(half_sweeps.backward_change, *matrix.upper_arrays, matrix.inverse, u, rest, backward=True)
-        matrix.sweep(half_sweeps.residual, *matrix.lower_arrays, rest, backward=True)
+        matrix.sweep(gauss_seidel, True, *none, *upper, matrix.inverse, rest, u, rest, backward=True)
+        np.subtract(load, rest, out=rest)
+        matrix.sweep(subtract_half, *lower, u, rest)
         return 1.5  # L, U, L
 
     def postsmooth(self, load: np.ndarray, sweeps: int) -> float:
-        matrix, u = self.matrix, self.solution
+        matrix, u, rest = self.matrix, self.solution, self.rest
         if self.smoother is not None:
             return self.smoother.smooth(load, u)
+        lower, upper = matrix.lower_arrays, matrix.upper_arrays
         if sweeps == 1:
-            matrix.sweep(half_sweeps.backward_full, *matrix.lower_arrays, *matrix.upper_arrays, matrix.inverse, load, u,
-                         backward=True)
+            matrix.sweep(gauss_seidel, True, *upper, *lower, matrix.inverse, load, u, rest, backward=True)
             return 1.0  # L, U
-        matrix.sweep(half_sweeps.forward_full, *matrix.lower_arrays, *matrix.upper_arrays, matrix.inverse, load, u,
-                     self.rest)
-        matrix.sweep(half_sweeps.backward_kept, *matrix.upper_arrays, matrix.inverse, u, self.rest, backward=True)
+        matrix.sweep(gauss_seidel, False, *lower, *upper, matrix.inverse, load, u, rest)
+        matrix.sweep(gauss_seidel, True, *matrix.no_half, *upper, matrix.inverse, rest, u, rest, backward=True)
         return 1.5  # L, U, U
 
 

@@ -187,43 +187,6 @@ def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
         _changed(p, i, change, indptr, indices, blocks, diagonal, residual)
 
 
-@kernel
-def _add(dim, p, node, left, right, nodes, indptr, columns, blocks, diagonal, result, at):
-    """result += diag(left) A diag(right) for the block in row ``p`` (a position) and column ``node``."""
-    size = dim * dim
-    if nodes[p] == node:
-        for a in range(dim):
-            for b in range(dim):
-                result[at + dim * a + b] += left[a] * diagonal[size * p + dim * a + b] * right[b]
-        return
-    for k in range(indptr[p], indptr[p + 1]):
-        if np.int64(columns[k]) == node:
-            for a in range(dim):
-                for b in range(dim):
-                    result[at + dim * a + b] += left[a] * blocks[size * k + dim * a + b] * right[b]
-            return
-
-
-@kernel
-def _alone_blocks(dim, nodes, indptr, columns, blocks, diagonal, follow_indptr, followers, weights, result):
-    """Blocks D'AD of the motion D of each node that leaves its followers where they are."""
-    one = np.ones(dim)
-    left, right = np.empty(dim), np.empty(dim)
-    for p in range(len(nodes)):
-        at = dim * dim * p
-        _add(dim, p, nodes[p], one, one, nodes, indptr, columns, blocks, diagonal, result, at)
-        for s in range(follow_indptr[p], follow_indptr[p + 1]):
-            for a in range(dim):
-                left[a] = -weights[dim * s + a]
-            q = followers[s]
-            _add(dim, q, nodes[p], left, one, nodes, indptr, columns, blocks, diagonal, result, at)
-            _add(dim, p, nodes[q], one, left, nodes, indptr, columns, blocks, diagonal, result, at)
-            for t in range(follow_indptr[p], follow_indptr[p + 1]):
-                for a in range(dim):
-                    right[a] = -weights[dim * t + a]
-                _add(dim, q, nodes[followers[t]], left, right, nodes, indptr, columns, blocks, diagonal, result, at)
-
-
 class Interface:
     """Nodes near contact between bodies and their rows: within ``LAYERS`` edges of the matrix from the slave nodes."""
 
@@ -232,6 +195,7 @@ class Interface:
 
     def __init__(self, level: SplitMatrix, coupling: Coupling, fixed: np.ndarray) -> None:
         n, dim = level.n_nodes, level.dim
+        self.dim = dim
         ones = np.ones(len(level.lower_indices))
         # row by row of the nodes
         half = sparse.csr_array((np.arange(1, len(ones) + 1), level.lower_indices.astype(np.int32), level.lower_indptr),
@@ -251,12 +215,9 @@ class Interface:
         self.blocks = np.where((rows.data < 0)[:, None, None], blocks.transpose(0, 2, 1), blocks).reshape(-1)
         self.diagonal = level.diagonal.reshape(-1, dim * dim)[self.nodes].reshape(-1)
         self._follow(coupling, place, fixed)
-        self.alone = np.zeros_like(self.diagonal)
-        _alone_blocks(dim, self.nodes, self.indptr, self.indices, self.blocks, self.diagonal, self.follow_indptr,
-                      self.followers, self.follow_weights, self.alone)
         # fixed components stay where they are, though followers pull at them
         free = ~fixed.reshape(-1, dim)[self.nodes]
-        blocks = self.alone.reshape(-1, dim, dim) * (free[:, :, None] & free[:, None, :])
+        blocks = self._alone_blocks(place) * (free[:, :, None] & free[:, None, :])
         self.alone = np.linalg.pinv(blocks, hermitian=True).reshape(-1)
         self.forward = np.arange(len(self.nodes), dtype=np.int32)
         self.backward = self.forward[::-1].copy()
@@ -272,6 +233,25 @@ class Interface:
         self.followers = place[slaves]
         free = ~fixed.reshape(-1, coupling.dim)[slaves]
         self.follow_weights = (by_master.data[kept, None] * free).reshape(-1)
+
+    def _alone_blocks(self, place: np.ndarray) -> np.ndarray:
+        """Blocks D'AD (n, dim, dim) of the motion D of each node that leaves its followers where they are."""
+        n, dim = len(self.nodes), self.dim
+        columns = place[self.indices]
+        inside = columns >= 0
+        indptr = np.append(0, np.cumsum(inside))[self.indptr]
+        rows = sparse.bsr_array((self.blocks.reshape(-1, dim, dim)[inside], columns[inside], indptr),
+                                shape=(dim * n, dim * n))
+        rows = sparse.csr_array(rows + sparse.bsr_array(
+            (self.diagonal.reshape(-1, dim, dim), np.arange(n), np.arange(n + 1)), shape=rows.shape))
+        masters = np.repeat(np.arange(n), np.diff(self.follow_indptr))
+        ends = ((dim * nodes[:, None] + np.arange(dim)).reshape(-1) for nodes in (self.followers, masters))
+        motion = sparse.eye_array(dim * n) - sparse.csr_array((self.follow_weights, tuple(ends)), shape=rows.shape)
+        motion, forces = sparse.csc_array(motion), sparse.csc_array(rows @ motion)
+        result = np.empty((n, dim, dim))
+        for a, b in np.ndindex(dim, dim):
+            result[:, a, b] = motion[:, a::dim].multiply(forces[:, b::dim]).sum(axis=0)
+        return result
 
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:

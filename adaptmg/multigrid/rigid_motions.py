@@ -17,13 +17,15 @@ node that closes, or to the root of the slope
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncated_contact import TruncatedContact, friction_slope
 
 #: singular values and values of motions that count as zero, relative to the largest
 _ZERO = 1e-10
@@ -42,182 +44,6 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
     _, singular, combinations = np.linalg.svd(np.linalg.qr(rows / size, mode="r"), full_matrices=True)
     singular = np.pad(singular, (0, len(combinations) - len(singular)))
     return (combinations[singular <= _ZERO] / size).T
-
-
-@dataclass(eq=False)
-class RigidContact:
-    """The contact nodes between two steps."""
-
-    motions: np.ndarray  # (n, dim, m): N_i, T_i, local values of the rigid motions
-    values: np.ndarray  # (n, dim): local unknowns of the level, which steps change
-    gap: np.ndarray  # (n,)
-    reference: np.ndarray  # (n, dim - 1): of the slip
-    limit: np.ndarray  # (n,): s, N
-    friction: np.ndarray  # (n,): mu
-    pressure: np.ndarray  # (n,): p, N
-    factor: float = 1.0  # of the friction, where it does not hold the body
-
-    #: share of F to which a minimum balances the forces; in 2D only a node that holds the body will do
-    BALANCED: ClassVar[dict[int, float]] = {2: 1e-12, 3: 1e-2}
-    #: a slip that is smaller than this after a step, relative to the step, vanishes
-    VANISHES: ClassVar[float] = 1e-6
-    #: how many times enough such a friction is made
-    ENOUGH: ClassVar[float] = 2.0
-    #: reciprocal conditioning from which on H counts as regular
-    REGULAR: ClassVar[float] = 1e-8
-
-    @classmethod
-    def of(cls, contact: TruncatedContact, motions: np.ndarray, residual: np.ndarray) -> RigidContact:
-        """Return the contact nodes of a level with the residual f - A u (n_dofs,)."""
-        o, dim = contact, contact.dim
-        normals = o.frames.reshape(-1, dim, dim)[:, 0]
-        pressure = np.maximum(np.einsum("ni,ni->n", normals, residual.reshape(-1, dim)[o.nodes]), 0.0)
-        return cls(motions, o.values.reshape(-1, dim), o.gap, o.reference.reshape(-1, dim - 1), o.limit, o.friction,
-                   pressure)
-
-    @property
-    def closed(self) -> np.ndarray:
-        return self.values[:, 0] == self.gap
-
-    @property
-    def slip(self) -> np.ndarray:
-        """tau (n, dim - 1)."""
-        return self.values[:, 1:] - self.reference
-
-    @property
-    def resists(self) -> np.ndarray:
-        """Where friction acts (n,) bool."""
-        return (self.limit > 0) | (self.closed & (self.friction > 0))
-
-    def free(self, last: tuple[bytes, np.ndarray]) -> tuple[bytes, np.ndarray]:
-        """Return the combinations (m, j) that move closed nodes along the obstacle only, and held ones not at all.
-        Behind the status that they belong to; ``last`` are those of another time."""
-        closed, held = self.closed, self.resists & ~self.slip.any(axis=1)
-        count = self.motions.shape[2]
-        key = bytes([count]) + closed.tobytes() + held.tobytes()
-        if key == last[0]:
-            return last
-        return key, null_combinations(np.concatenate([self.motions[closed, 0],
-                                                      self.motions[held, 1:].reshape(-1, count)]))
-
-    def step(self, free: np.ndarray, work: np.ndarray) -> np.ndarray | None:
-        resistance = np.where(self.resists, self.limit + np.where(self.closed, self.friction * self.pressure, 0.0), 0.0)
-        tangents, force = self.motions[:, 1:] @ free, free.T @ work
-        enough = self.BALANCED[self.values.shape[1]] * np.linalg.norm(force)
-        for _ in range(3):
-            bound = self.factor * resistance
-            direction = self._descent(bound, tangents, force, enough)
-            if direction is None:
-                return None
-            across = self.motions[:, 0] @ (free @ direction)
-            line = _Line.along(self, bound, tangents @ direction, across, float(force @ direction))
-            if np.isfinite(line.stop) or line.held > line.work:
-                break
-            if not line.held > 0.0:
-                return None
-            self.factor *= self.ENOUGH * line.work / line.held
-        else:
-            return None
-        length = line.minimum()
-        change = length * direction
-        closes = int(np.argmin(line.stops)) if length == line.stop else None
-        vanishes = None if closes is not None else line.vanishing(length, self.VANISHES)
-        if vanishes is not None:
-            # its slip to the last bit
-            rest = self.slip[vanishes] + tangents[vanishes] @ change
-            change = change - np.linalg.lstsq(tangents[vanishes], rest, rcond=_ZERO)[0]
-        change = free @ change
-        self._advance(change, closes, vanishes)
-        return change
-
-    def _descent(self, bound: np.ndarray, tangents: np.ndarray, force: np.ndarray, enough: float) -> np.ndarray | None:
-        """The direction (j,) of a step, None at a minimum."""
-        slip = self.slip
-        size = np.linalg.norm(slip, axis=1)
-        moves = size > 0
-        size[~moves] = 1.0
-        along = np.where(moves[:, None], slip / size[:, None], 0.0)
-        gradient = np.einsum("n,nt,ntj->j", bound, along, tangents) - force
-        if np.linalg.norm(gradient) <= enough:
-            return None
-        if slip.shape[1] == 1:
-            return -gradient
-        turned = tangents - along[:, :, None] * np.einsum("nt,ntj->nj", along, tangents)[:, None]
-        hessian = np.einsum("n,nti,ntj->ij", np.where(moves, bound / size, 0.0), turned, tangents)
-        values, vectors = np.linalg.eigh(hessian)
-        if not values[0] > self.REGULAR * values[-1]:
-            return -gradient
-        return -(vectors @ ((vectors.T @ gradient) / values))
-
-    def _advance(self, change: np.ndarray, closes: int | None, vanishes: int | None) -> None:
-        """The values after a step (m,); nodes that were closed or held, or are now, are so to the bit."""
-        closed, held = self.closed, self.resists & ~self.slip.any(axis=1)
-        if closes is not None:
-            closed[closes] = True
-        if vanishes is not None:
-            held[vanishes] = True
-        self.values += self.motions @ change
-        self.values[:, 0] = np.where(closed, self.gap, np.minimum(self.values[:, 0], self.gap))
-        self.values[:, 1:] = np.where(held[:, None], self.reference, self.values[:, 1:])
-
-
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """The energy along a direction d."""
-
-    slip: np.ndarray  # (n, dim - 1): tau
-    change: np.ndarray  # (n, dim - 1): T d
-    speed: np.ndarray  # (n,): |T d|
-    bound: np.ndarray  # (n,): g, zero where friction does not act or the node does not move
-    work: float  # F.d
-    stops: np.ndarray  # (n,): lengths at which open nodes close
-
-    @classmethod
-    def along(cls, contact: RigidContact, bound: np.ndarray, change: np.ndarray, across: np.ndarray,
-              work: float) -> _Line:
-        """Return the line from the present values; ``across`` (n,) is N d."""
-        speed = np.linalg.norm(change, axis=1)
-        small = _ZERO * max(speed.max(), np.abs(across).max())
-        closing = ~contact.closed & (across > small) & np.isfinite(contact.gap)
-        stops = np.divide(contact.gap - contact.values[:, 0], across, out=np.full(len(across), np.inf), where=closing)
-        return cls(contact.slip, change, speed, np.where(speed > small, bound, 0.0), work, stops)
-
-    @property
-    def stop(self) -> float:
-        return float(self.stops.min())
-
-    @property
-    def held(self) -> float:
-        """What friction resists at the end of the line, N m."""
-        return float(self.bound @ self.speed)
-
-    def slope(self, length: float) -> float:
-        slip = self.slip + length * self.change
-        size = np.linalg.norm(slip, axis=1)
-        product = np.einsum("nt,nt->n", slip, self.change)
-        return float(self.bound @ np.divide(product, size, out=np.zeros_like(size), where=size > 0)) - self.work
-
-    def minimum(self) -> float:
-        """Return the length at which the energy is least: at most :attr:`stop`."""
-        acts = self.bound > 0
-        high = min(self.stop, 2.0 * float((np.linalg.norm(self.slip[acts], axis=1) / self.speed[acts]).max(initial=0.0)
-                                          or 1.0) if acts.any() else np.inf)
-        while high < self.stop and self.slope(high) < 0.0:
-            high = min(2.0 * high, self.stop)
-        if self.slope(high) <= 0.0:
-            return high
-        low = 0.0
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if self.slope(middle) > 0.0 else (middle, high)
-        return high
-
-    def vanishing(self, length: float, small: float) -> int | None:
-        """Return the node whose slip vanishes at a length, if there is one."""
-        left = np.linalg.norm(self.slip + length * self.change, axis=1)
-        share = np.divide(left, length * self.speed, out=np.full(len(left), np.inf), where=self.bound > 0)
-        node = int(np.argmin(share))
-        return node if share[node] < small else None
 
 
 @remembered_of_structure
@@ -245,8 +71,6 @@ class RigidMotions:
     load: np.ndarray  # (n_dofs,): f
     coefficients: np.ndarray  # (k, m): of the motions, in the columns of problem.near_nullspace
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
-    _work: np.ndarray | None = field(default=None, init=False)
-    _free: tuple[bytes, np.ndarray] = field(default=(b"", np.empty(0)), init=False)  # the last, and of which status
 
     #: steps at most
     STEPS: ClassVar[int] = 30
@@ -261,37 +85,26 @@ class RigidMotions:
             "nij,njk->nik", contact.frames.reshape(-1, problem.dim, problem.dim), cartesian))
 
     def settle(self, unknowns: np.ndarray, past: list[np.ndarray], residual: np.ndarray) -> int:
-        """Move to the least energy, in place; returns the number of steps."""
-        if not self.at_contact.shape[2]:  # given up: springs hold them
+        """Move to the least energy, in place, and the ``past`` iterates along; returns the number of steps."""
+        if self._work is None:
             return 0
-        contact = RigidContact.of(self.contact, self.at_contact, residual)
+        descent = _Descent(self.contact, self.at_contact, self._work, residual)
         total, steps = np.zeros(self.at_contact.shape[2]), 0
-        while steps < self.STEPS:
-            self._free = contact.free(self._free)
-            free = self._free[1]
-            if not free.shape[1] or not self._strainless():
-                break
-            change = contact.step(free, self._work)
-            if change is None:
-                break
-            total += change
-            steps += 1
+        while steps < self.STEPS and (change := descent.step()) is not None:
+            total, steps = total + change, steps + 1
         if steps:
             self._move(total, unknowns, past)
         return steps
 
-    def _strainless(self) -> bool:
-        """Whether A M = 0, tested when it first matters; if not, the motions are given up."""
-        if self._work is None:
-            motions = self.problem.near_nullspace @ self.coefficients
-            forces = self.problem.matrix @ motions
-            forces[self.problem.fixed] = 0.0
-            scale = np.abs(self.problem.matrix.diagonal()).max() * np.abs(motions).max(axis=0)
-            if (np.abs(forces).max(axis=0) > _ZERO * scale).any():
-                self.at_contact = self.at_contact[:, :, :0]
-                return False
-            self._work = motions.T @ self.load
-        return True
+    @cached_property
+    def _work(self) -> np.ndarray | None:
+        """The work (m,) of the load on the motions; None where they strain the body."""
+        motions = self.problem.near_nullspace @ self.coefficients
+        forces = self.problem.matrix @ motions
+        forces[self.problem.fixed] = 0.0
+        scale = np.abs(self.problem.matrix.diagonal()).max() * np.abs(motions).max(axis=0)
+        strain = (np.abs(forces).max(axis=0) > _ZERO * scale).any()
+        return None if strain else motions.T @ self.load
 
     def _move(self, change: np.ndarray, unknowns: np.ndarray, past: list[np.ndarray]) -> None:
         """Carry out a motion (m,) that the values of the contact contain already."""
@@ -304,3 +117,104 @@ class RigidMotions:
         values = np.einsum("nji,nj->ni", o.frames.reshape(-1, o.dim, o.dim), o.values.reshape(-1, o.dim))
         at = unknowns.reshape(-1, o.dim)
         at[o.nodes] = np.where(self.problem.fixed.reshape(-1, o.dim)[o.nodes], 0.0, values)
+
+
+class _Descent:
+    """Steps of the motions towards the least energy, which change the values of the contact nodes."""
+
+    #: share of F to which a minimum balances the forces; in 2D only a node that holds the body will do
+    BALANCED: ClassVar[dict[int, float]] = {2: 1e-12, 3: 1e-2}
+    #: a slip that is smaller than this after a step, relative to the step, vanishes
+    VANISHES: ClassVar[float] = 1e-6
+    #: friction that does not hold the body yet is made this many times enough
+    ENOUGH: ClassVar[float] = 2.0
+    #: reciprocal conditioning from which on H counts as regular
+    REGULAR: ClassVar[float] = 1e-8
+
+    def __init__(self, contact: TruncatedContact, motions: np.ndarray, work: np.ndarray, residual: np.ndarray) -> None:
+        dim = contact.dim
+        self.contact, self.motions, self.work, self.factor = contact, motions, work, 1.0
+        self.values, self.reference = contact.values.reshape(-1, dim), contact.reference.reshape(-1, dim - 1)
+        normals = contact.frames.reshape(-1, dim, dim)[:, 0]
+        self.pressure = np.maximum(np.einsum("ni,ni->n", normals, residual.reshape(-1, dim)[contact.nodes]), 0.0)
+
+    def step(self) -> np.ndarray | None:
+        """Take a step; returns its combination of motions (m,), None at a minimum."""
+        o, slip = self.contact, self.values[:, 1:] - self.reference
+        closed = self.values[:, 0] == o.gap
+        resists = (o.limit > 0) | (closed & (o.friction > 0))
+        held = resists & ~slip.any(axis=1)
+        free = null_combinations(np.concatenate([
+            self.motions[closed, 0], self.motions[held, 1:].reshape(-1, len(self.work))]))
+        if not free.shape[1]:
+            return None
+        bound = np.where(resists, o.limit + np.where(closed, o.friction * self.pressure, 0.0), 0.0)
+        tangents, force = self.motions[:, 1:] @ free, free.T @ self.work
+        direction = self._direction(self.factor * bound, slip, tangents, force)
+        if direction is None:
+            return None
+        along, across = tangents @ direction, self.motions[:, 0] @ (free @ direction)
+        speed = np.linalg.norm(along, axis=1)
+        small = _ZERO * max(speed.max(), np.abs(across).max())
+        closing = ~closed & (across > small) & np.isfinite(o.gap)
+        stops = np.divide(o.gap - self.values[:, 0], across, out=np.full(len(across), np.inf), where=closing)
+        work, bound = float(force @ direction), np.where(speed > small, self.factor * bound, 0.0)
+        resistance = float(bound @ speed)
+        if not (np.isfinite(stops.min()) or resistance > work):
+            if not resistance > 0.0:
+                return None
+            self.factor *= self.ENOUGH * work / resistance
+            return self.step()
+        slope = friction_slope(slip, along, bound)
+        acts, size = bound > 0, np.linalg.norm(slip, axis=1)
+        longest = float((size[acts] / speed[acts]).max(initial=0.0)) or 1.0
+        length = _least(lambda alpha: slope(alpha) - work, 2.0 * longest, float(stops.min()))
+        change = length * direction
+        if length == stops.min():
+            closed[np.argmin(stops)] = True
+        else:
+            left = np.linalg.norm(slip + length * along, axis=1)
+            share = np.divide(left, length * speed, out=np.full(len(left), np.inf), where=acts)
+            node = int(np.argmin(share))
+            if share[node] < self.VANISHES:
+                # its slip to the last bit
+                rest = slip[node] + tangents[node] @ change
+                change = change - np.linalg.lstsq(tangents[node], rest, rcond=_ZERO)[0]
+                held[node] = True
+        change = free @ change
+        # nodes that were closed or held, or are now, are so to the bit
+        self.values += self.motions @ change
+        self.values[:, 0] = np.where(closed, o.gap, np.minimum(self.values[:, 0], o.gap))
+        self.values[:, 1:] = np.where(held[:, None], self.reference, self.values[:, 1:])
+        return change
+
+    def _direction(self, bound: np.ndarray, slip: np.ndarray, tangents: np.ndarray, force: np.ndarray
+                   ) -> np.ndarray | None:
+        """The direction (j,) of a step, None at a minimum."""
+        size = np.linalg.norm(slip, axis=1, keepdims=True)
+        along = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0)
+        gradient = np.einsum("n,nt,ntj->j", bound, along, tangents) - force
+        if np.linalg.norm(gradient) <= self.BALANCED[self.contact.dim] * np.linalg.norm(force):
+            return None
+        if slip.shape[1] == 1:
+            return -gradient
+        turned = tangents - along[:, :, None] * np.einsum("nt,ntj->nj", along, tangents)[:, None]
+        stiffness = np.divide(bound, size[:, 0], out=np.zeros_like(bound), where=size[:, 0] > 0)
+        hessian = np.einsum("n,nti,ntj->ij", stiffness, turned, tangents)
+        values, vectors = np.linalg.eigh(hessian)
+        if not values[0] > self.REGULAR * values[-1]:
+            return -gradient
+        return -(vectors @ ((vectors.T @ gradient) / values))
+
+
+def _least(slope: Callable[[float], float], first: float, stop: float) -> float:
+    """Where a rising slope vanishes, at most ``stop``, looked for up to ``first`` first."""
+    low, high = 0.0, min(first, stop)
+    while high < stop and slope(high) < 0.0:  # there is friction that holds
+        low, high = high, min(2.0 * high, stop)
+    if slope(high) <= 0.0:
+        return high
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
+    return high

@@ -12,6 +12,7 @@ Codes are those of :mod:`adaptmg.smoother.system`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -145,29 +146,25 @@ class TruncatedContact:
         """Return whether an iterate closes open nodes or reverses slips at few nodes, which the projection cuts."""
         return self._project(unknowns, False) <= 1 + self.FEW * len(self.nodes)
 
-    def friction_slope(self, before: np.ndarray, alpha: float) -> float:
-        """Return the slope of sum g |slip| at alpha minus that at 0 along the step from local unknowns ``before``;
+    def friction_slope(self, before: np.ndarray) -> Callable[[float], float]:
+        """Return the slope of sum g |slip| along the step from local unknowns ``before`` less that at its beginning;
         slipping nodes only."""
-        return friction_slope(self.dim, self.codes, self.limit, self.friction, self.pressure, self.reference, before,
-                              self.values, alpha)
+        shape = len(self.nodes), self.dim
+        at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
+        before, change = before.reshape(shape)[at, 1:], (self.values - before).reshape(shape)[at, 1:]
+        slope = friction_slope(before - self.reference.reshape(-1, self.dim - 1)[at], change, self._bound[at])
+        first = slope(0.0)
+        return lambda alpha: slope(alpha) - first
 
 
-@kernel
-def friction_slope(dim, codes, limit, friction, pressure, reference, before, values, alpha):
-    """See :meth:`TruncatedContact.friction_slope`."""
-    total = 0.0
-    for k in range(len(codes)):
-        first, at_first, size, at_alpha = 0.0, 0.0, 0.0, 0.0
-        for a in range(1, dim):
-            slip = before[dim * k + a] - reference[(dim - 1) * k + a - 1]
-            change = values[dim * k + a] - before[dim * k + a]
-            moved = slip + alpha * change
-            first, at_first = first + slip * slip, at_first + slip * change
-            size, at_alpha = size + moved * moved, at_alpha + moved * change
-        if codes[k] & TANGENTIAL >= SLIPS and first > 0.0 and size > 0.0:
-            bound = limit[k] + friction[k] * pressure[k] if codes[k] & CLOSED else limit[k]
-            total += bound * (at_alpha / np.sqrt(size) - at_first / np.sqrt(first))
-    return total
+def friction_slope(slip: np.ndarray, change: np.ndarray, bound: np.ndarray) -> Callable[[float], float]:
+    """Return the derivative of sum g |slip + alpha change| by alpha, from slips (n, dim - 1) and g (n,)."""
+    def slope(alpha: float) -> float:
+        moved = slip + alpha * change
+        size, product = np.linalg.norm(moved, axis=1), np.einsum("nt,nt->n", moved, change)
+        return float(bound @ np.divide(product, size, out=np.zeros_like(size), where=size > 0))
+
+    return slope
 
 
 @kernel

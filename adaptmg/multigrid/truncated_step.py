@@ -244,10 +244,10 @@ class TruncatedStep:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
         curvature = self._energy_product(proposed)
         change = proposed - self.unknowns
-        gain = _product(self.residual, change)
+        gain, of_friction = _product(self.residual, change), self.contact.friction_slope(before)
 
         def slope(part: float) -> float:
-            return part * curvature - gain + self.contact.friction_slope(before, part)
+            return part * curvature - gain + of_friction(part)
 
         if not slope(1.0) <= 0.0:
             low, high = 0.0, 1.0

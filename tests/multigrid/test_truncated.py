@@ -190,8 +190,8 @@ def uniform():
 
 @pytest.fixture(scope="module")
 def joint():
-    # its coarsest matrix is regular in the end
-    return am.Hierarchy.graded(am.cases.dovetail(), sizes=(11e-3, 7e-3, 4.5e-3))
+    # its coarsest matrix is regular
+    return am.Hierarchy.graded(am.cases.dovetail(), sizes=(10e-3, 6e-3, 3e-3))
 
 
 @pytest.fixture(scope="module")

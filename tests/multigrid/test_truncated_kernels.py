@@ -12,11 +12,10 @@ from smoother_problems import expand, network
 import adaptmg as am
 from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import graded, structured
-from adaptmg.multigrid import half_sweeps as kernels
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.projected_sweeps import Interface
-from adaptmg.multigrid.split_matrix import split
+from adaptmg.multigrid.split_matrix import add_prolonged, gauss_seidel, restrict, split, subtract_half
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import least_weights
 from adaptmg.multigrid.truncation import Truncation
@@ -50,23 +49,21 @@ def test_half_passes_are_gauss_seidel(dim):
     def close(found, expected):
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
-    halves.sweep(kernels.forward_from_zero, *l, inverse, f, u, kept)
+    none = halves.no_half
+    halves.sweep(gauss_seidel, False, *l, *none, inverse, f, u, kept)
     first = np.linalg.solve(L + D, f)
     close(u, first)
-    halves.sweep(kernels.forward_residual, *u_, u, result)
+    close(kept, f - L @ first)
+    halves.sweep(subtract_half, *u_, u, result)
     close(result, f - dense @ u)
-    halves.sweep(kernels.backward_change, *u_, inverse, u, kept, backward=True)
+    halves.sweep(gauss_seidel, True, *none, *u_, inverse, kept, u, kept, backward=True)
     close(u, np.linalg.solve(U + D, f - L @ first))
-    halves.sweep(kernels.residual, *l, kept, backward=True)
-    close(kept, f - dense @ u)
+    close(kept, f - L @ first)
     u = start.copy()
-    halves.sweep(kernels.forward_full, *l, *u_, inverse, f, u, kept)
-    first = np.linalg.solve(L + D, f - U @ start)
-    close(u, first)
-    halves.sweep(kernels.backward_kept, *u_, inverse, u, kept, backward=True)
-    close(u, np.linalg.solve(U + D, f - L @ first))
+    halves.sweep(gauss_seidel, False, *l, *u_, inverse, f, u, kept)
+    close(u, np.linalg.solve(L + D, f - U @ start))
     u = start.copy()
-    halves.sweep(kernels.backward_full, *l, *u_, inverse, f, u, backward=True)
+    halves.sweep(gauss_seidel, True, *u_, *l, inverse, f, u, kept, backward=True)
     close(u, np.linalg.solve(U + D, f - L @ start))
     np.testing.assert_allclose(halves.matrix().toarray(), dense)
 
@@ -209,11 +206,11 @@ def test_transfers(dim):
     P = sparse.random_array((12, 5), density=0.4, rng=rng, format="csr")
     Q = expand(P, dim)
     r, coarse = rng.normal(size=12 * dim), np.zeros(5 * dim)
-    assert kernels.restrict(0, 12, ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
+    assert restrict(0, 12, ZERO[dim], P.indptr, P.indices, P.data, r, coarse) == pytest.approx(r @ r)
     np.testing.assert_allclose(coarse, Q.T @ r)
     u = rng.normal(size=12 * dim)
     expected = u + Q @ coarse
-    kernels.add_prolonged(0, 12, ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
+    add_prolonged(0, 12, ZERO[dim], P.indptr, P.indices, P.data, coarse, u)
     np.testing.assert_allclose(u, expected)
 
 

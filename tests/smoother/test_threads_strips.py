@@ -10,8 +10,8 @@ from uncompiled import uncompile
 import adaptmg as am
 from adaptmg import _threads as threads
 from adaptmg.mesh.structured import structured
-from adaptmg.multigrid import half_sweeps
-from adaptmg.multigrid.split_matrix import split
+from adaptmg.multigrid import split_matrix
+from adaptmg.multigrid.split_matrix import gauss_seidel, split, subtract_half
 from adaptmg.smoother import blocks
 from adaptmg.smoother import strips as strips_module
 
@@ -55,7 +55,7 @@ def test_strips_of_a_colour_have_no_common_neighbour(dim, seed):
 @pytest.mark.parametrize("seed", [None, 1])
 def test_a_sweep_over_strips_is_gauss_seidel_in_their_order(seed, compiled, monkeypatch):
     if not compiled:
-        uncompile(monkeypatch, half_sweeps, blocks)
+        uncompile(monkeypatch, split_matrix, blocks)
     am.set_threads(2)
     matrix = shuffled(2, seed)
     halves, f = split(matrix, np.zeros(matrix.shape[0], dtype=bool)), np.random.default_rng(0).normal(size=882)
@@ -63,12 +63,14 @@ def test_a_sweep_over_strips_is_gauss_seidel_in_their_order(seed, compiled, monk
     dense = matrix.toarray()[np.ix_(dofs, dofs)]
     before = np.tril(np.kron(np.ones((441, 441)), np.ones((2, 2)))) + np.kron(np.eye(441), [[0, 1], [0, 0]])
     u, kept = np.empty(882), np.empty(882)
-    halves.sweep(half_sweeps.forward_from_zero, *halves.lower_arrays, halves.inverse, f, u, kept)
+    halves.sweep(gauss_seidel, False, *halves.lower_arrays, *halves.no_half, halves.inverse, f, u, kept)
     expected = np.linalg.solve(dense * before, f[dofs])
     np.testing.assert_allclose(u[dofs], expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
-    halves.sweep(half_sweeps.backward_change, *halves.upper_arrays, halves.inverse, u, kept, backward=True)
-    halves.sweep(half_sweeps.residual, *halves.lower_arrays, kept, backward=True)
-    np.testing.assert_allclose(kept, f - matrix @ u, atol=1e-9 * np.abs(f).max())
+    halves.sweep(gauss_seidel, True, *halves.no_half, *halves.upper_arrays, halves.inverse, kept, u, kept,
+                 backward=True)
+    rest = f - kept
+    halves.sweep(subtract_half, *halves.lower_arrays, u, rest)
+    np.testing.assert_allclose(rest, f - matrix @ u, atol=1e-9 * np.abs(f).max())
 
 
 @pytest.mark.parametrize("case", ["plane", "solid", "independent", "two bodies"])
