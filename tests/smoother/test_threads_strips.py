@@ -11,7 +11,7 @@ import adaptmg as am
 from adaptmg import _threads as threads
 from adaptmg.mesh.structured import structured
 from adaptmg.multigrid import split_matrix
-from adaptmg.multigrid.split_matrix import gauss_seidel, split, subtract_half
+from adaptmg.multigrid.split_matrix import split
 from adaptmg.smoother import blocks
 from adaptmg.smoother import strips as strips_module
 
@@ -63,13 +63,13 @@ def test_a_sweep_over_strips_is_gauss_seidel_in_their_order(seed, compiled, monk
     dense = matrix.toarray()[np.ix_(dofs, dofs)]
     before = np.tril(np.kron(np.ones((441, 441)), np.ones((2, 2)))) + np.kron(np.eye(441), [[0, 1], [0, 0]])
     u, kept = np.empty(882), np.empty(882)
-    halves.sweep(gauss_seidel, False, *halves.lower_arrays, *halves.no_half, halves.inverse, f, u, kept)
+    halves.sweep(split_matrix.gauss_seidel, False, *halves.lower_arrays, *halves.no_half, halves.inverse, f, u, kept)
     expected = np.linalg.solve(dense * before, f[dofs])
     np.testing.assert_allclose(u[dofs], expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
-    halves.sweep(gauss_seidel, True, *halves.no_half, *halves.upper_arrays, halves.inverse, kept, u, kept,
+    halves.sweep(split_matrix.gauss_seidel, True, *halves.no_half, *halves.upper_arrays, halves.inverse, kept, u, kept,
                  backward=True)
     rest = f - kept
-    halves.sweep(subtract_half, *halves.lower_arrays, u, rest)
+    halves.sweep(split_matrix.subtract_half, *halves.lower_arrays, u, rest)
     np.testing.assert_allclose(rest, f - matrix @ u, atol=1e-9 * np.abs(f).max())
 
 
