@@ -8,16 +8,14 @@ from ._threads import set_threads as set_threads
 from .discrete.discretise import discretise as discretise
 from .discrete.problem import ContactNodes as ContactNodes, DiscreteProblem as DiscreteProblem
 from .estimate.adapt import adapt as adapt
-from .estimate.bisect import Bisect as Bisect
+from .estimate.engines import Bisect as Bisect, Remesh as Remesh
 from .estimate.estimate import Doerfler as Doerfler, Estimate as Estimate, Maximum as Maximum
 from .estimate.goal import Goal as Goal, GoalEstimate as GoalEstimate
 from .estimate.quantities import (
     ContactForce as ContactForce, Displacement as Displacement, MeanDisplacement as MeanDisplacement,
     Opening as Opening
 )
-from .estimate.recovery import Recovery as Recovery
-from .estimate.remesh import Remesh as Remesh
-from .estimate.residual import Residual as Residual
+from .estimate.indicators import Recovery as Recovery, Residual as Residual
 from .estimate.step import Step as Step
 from .hierarchy import Hierarchy as Hierarchy, Level as Level
 from .mesh import MeshArrays as MeshArrays, SizeNear as SizeNear
@@ -32,10 +30,10 @@ from .problem import (
     Extrusion as Extrusion, Frictionless as Frictionless, Fuse as Fuse, GapFunction as GapFunction,
     InitialStrain as InitialStrain, LoadPath as LoadPath, Moved as Moved, Moving as Moving, Outline as Outline,
     Periodic as Periodic, Plane as Plane, PlaneStrain as PlaneStrain, PlaneStress as PlaneStress,
-    PointSpring as PointSpring,
-    PointSupport as PointSupport, Polygon as Polygon, Preload as Preload, Pressure as Pressure,
-    Rectangle as Rectangle, Revolution as Revolution, Rigid as Rigid, Solid as Solid, Spring as Spring,
-    StepFile as StepFile, Support as Support, Symmetry as Symmetry, Tied as Tied, Traction as Traction, Tresca as Tresca
+    PointSpring as PointSpring, PointSupport as PointSupport, Polygon as Polygon, Preload as Preload,
+    Pressure as Pressure, Rectangle as Rectangle, Revolution as Revolution, Rigid as Rigid, Solid as Solid,
+    Spring as Spring, StepFile as StepFile, Support as Support, Symmetry as Symmetry, Tied as Tied,
+    Traction as Traction, Tresca as Tresca
 )
 from .smoother.gauss_seidel import ProjectedGaussSeidel as ProjectedGaussSeidel
 from .smoother.system import OPEN as OPEN, SLIP as SLIP, STICK as STICK

@@ -94,7 +94,8 @@ class Moduli:
         (n_elements, ...); in the plane the columns are xx, yy, xy."""
         kept = [0, 1, 3] if plane else list(range(self.table.shape[1]))
         compliance = np.linalg.inv(self.table[:, kept][:, :, kept])[self.rows]
-        return np.einsum("n...i,nij,n...j->n...", stress, compliance, other)
+        strain = (other.reshape(len(other), -1, len(kept)) @ compliance).reshape(other.shape)
+        return np.einsum("...i,...i->...", stress, strain)
 
     def of_hoop(self) -> np.ndarray:
         """Return the stresses rr, zz, hoop, rz (n_elements, 4) of a hoop strain of 1."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from adaptmg.estimate.engines import Remesh
 from adaptmg.estimate.estimate import Doerfler, Estimate, Maximum
-from adaptmg.estimate.recovery import Recovery
+from adaptmg.estimate.indicators import Recovery, Residual
 from adaptmg.estimate.reference_error import EnergyError, Reference, energy_error
-from adaptmg.estimate.remesh import Remesh
-from adaptmg.estimate.residual import Residual
 
 __all__ = ["Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Remesh", "Residual",
            "energy_error"]

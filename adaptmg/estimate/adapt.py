@@ -18,11 +18,11 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._text import say
-from adaptmg.estimate.bisect import Bisect
+from adaptmg.estimate.engines import Bisect, Engine, sound_mesh
 from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
+from adaptmg.estimate.indicators import Residual
 from adaptmg.estimate.loop import AdaptiveLoop, Parts, Progress
-from adaptmg.estimate.residual import Residual
-from adaptmg.estimate.step import LOOP_KINDS, Engine, Limits, Step, loop_fingerprint, sound_mesh
+from adaptmg.estimate.step import LOOP_KINDS, Limits, Step, loop_fingerprint
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import need_domain
 from adaptmg.mesh.grading import measures
@@ -64,7 +64,7 @@ def adapt(problem: ContactProblem,
     mark : Doerfler, Maximum or an object with ``mark(estimate) -> mask of elements``, optional
         Default ``Doerfler()``.
     engine : Remesh, Bisect or an object with ``refine(problem, mesh, estimate, marked, max_nodes=None)``, optional
-        See :class:`adaptmg.estimate.step.Engine`. Default ``Bisect()``.
+        See :class:`adaptmg.estimate.engines.Engine`. Default ``Bisect()``.
     tolerance : float, optional
         Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity; and :attr:`Step.settled`,
         or on two meshes in a row).

@@ -24,9 +24,9 @@ import numpy as np
 from adaptmg._numba import clock, compiling_seconds
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.discretise import load_steps
-from adaptmg.estimate.bisect import divisible
+from adaptmg.estimate.engines import Engine, divisible, sound_mesh
 from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of
-from adaptmg.estimate.step import Engine, Limits, Step, StoredStep, expected_seconds, restored, settled, sound_mesh
+from adaptmg.estimate.step import Limits, Step, StoredStep, expected_seconds, restored, settled
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.bisection import with_refinement

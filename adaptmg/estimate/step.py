@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Generic, Protocol
+from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
@@ -25,8 +25,6 @@ from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh import with_source
 from adaptmg.mesh.arrays import MeshArrays, Refinement
-from adaptmg.mesh.soundness import check_mesh
-from adaptmg.problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.load_path import PathResult
 from adaptmg.solver.result import KINDS, Result
@@ -163,33 +161,6 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
         for one in (estimate, before))
     change = np.abs(values + errors - old_values - old_errors) if values.shape == old_values.shape else np.inf
     return bool(((errors * old_errors > 0) & (change <= np.abs(errors))).all())
-
-
-class Engine(Protocol):
-    """What makes the next mesh: Remesh, Bisect or a user-defined object. It may also have ``intermediate(problem,
-    coarse, fine) -> MeshArrays or None``, a mesh between two whose sizes differ too much for neighbouring levels, and
-    ``first(problem, size) -> MeshArrays or None``, the mesh to begin with."""
-
-    def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: np.ndarray,
-               max_nodes: int | None = None) -> MeshArrays | None:
-        """Return the next mesh; the same one or None where there is no finer one."""
-
-
-def sound_mesh(engine: Engine, method: str, problem: ContactProblem, made: object, like: MeshArrays | None = None
-               ) -> MeshArrays:
-    """Return a mesh that an engine has made: sound, with the problem's boundaries and the bodies of another mesh."""
-    name = f"engine {checks.shown(engine)}: what {method} returns"
-    made = checks.instance(name, made, MeshArrays, "MeshArrays")
-    try:
-        check_mesh(made)
-        if made.dim != problem.dim:
-            raise ValueError(f"it is {made.dim}D, the problem {problem.dim}D")
-        problem.check_boundaries(made.boundaries)
-        if like is not None and set(made.bodies) != set(like.bodies):
-            raise ValueError(f"its bodies are {', '.join(made.bodies)}, not {', '.join(like.bodies)}")
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"{name} is not a mesh of the problem: {error}") from error
-    return made
 
 
 @dataclass(frozen=True, eq=False)

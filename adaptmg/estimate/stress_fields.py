@@ -25,7 +25,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.loads import load_vector
-from adaptmg.discrete.moduli import body_materials
+from adaptmg.discrete.moduli import Moduli, body_materials, isotropic
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.hierarchy import Hierarchy
@@ -38,6 +38,8 @@ from adaptmg.solver.result import Result
 _PLAIN = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
 _ROUND = ([0, 1, 2, 0], [0, 1, 2, 1])
 _BACK = {3: np.array([[0, 2], [2, 1]]), 4: np.array([[0, 3], [3, 1]]), 6: np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])}
+#: Lame's first constant over the shear modulus where it is infinite
+_VAST = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +62,11 @@ class ElementStress:
         return _BACK[self.values.shape[1]]
 
     @cached_property
-    def lame(self) -> np.ndarray:
-        """Lame's first constant (n_elements,), Pa."""
-        return self.data.lame[self.mesh.element_body]
+    def compliances(self) -> Moduli:
+        """The tensors whose inverses make energies of stresses; Lame's first constant may be infinite."""
+        if self.data.moduli is not None:
+            return self.data.moduli
+        return isotropic(self.data.lame, self.data.shear, np.zeros(len(self.data.lame), dtype=bool), self.mesh, _VAST)
 
     @cached_property
     def of_hoop(self) -> np.ndarray:
@@ -70,11 +74,6 @@ class ElementStress:
         if self.data.smoothed:
             return np.zeros((len(self.mesh.elements), 4))
         return self.data.of_elements(self.mesh).of_hoop()
-
-    @cached_property
-    def shear(self) -> np.ndarray:
-        """Shear modulus (n_elements,), Pa."""
-        return self.data.shear[self.mesh.element_body]
 
     def tractions(self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
                   ) -> np.ndarray:

@@ -8,7 +8,7 @@ import pytest
 from bisected_meshes import SQUARE, as_sets, cube, random_mask, verified
 
 import adaptmg as am
-from adaptmg.estimate.bisect import divisible
+from adaptmg.estimate.engines import divisible
 from adaptmg.mesh import bisect, graded, structured
 from adaptmg.mesh.bisection import refined
 from adaptmg.problem import Outline

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from simplex_meshes import delaunay, log_graded, structured, two_boxes
 
 import adaptmg as am
-from adaptmg.estimate.remesh import (
+from adaptmg.estimate.engines import (
     NodeCount,
     SizeField,
     equilibrated_sizes,
