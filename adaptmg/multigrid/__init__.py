@@ -1,7 +1,6 @@
 """The multigrid ingredients: coarse spaces, corrections, cycles, coarse solves, nested start."""
 
-from adaptmg.multigrid.corrections import Monotone, PaperCorrection
-from adaptmg.multigrid.cycle import CoarseSolve, Cycle, NestedStart
+from adaptmg.multigrid.cycle import CoarseSolve, Cycle, Monotone, NestedStart, PaperCorrection
 
 __all__ = ["CoarseSolve", "Cycle", "Monotone", "NestedStart", "PaperCorrection"]
 

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
-from adaptmg.multigrid.corrections import Recorder
+from adaptmg.multigrid.cycle import Recorder
 from adaptmg.multigrid.split_matrix import SplitMatrix, add_prolonged, gauss_seidel, restrict, subtract_half
 from adaptmg.smoother.blocks import ZERO
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg, sparse
@@ -24,11 +25,13 @@ from adaptmg._threads import sum_of_parts
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import LinearCycle, regular_matrix
 from adaptmg.multigrid.projected_sweeps import Interface
-from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncation import Truncation
-from adaptmg.multigrid.volume_pressures import VolumePressures
 from adaptmg.smoother.blocks import ZERO
+
+if TYPE_CHECKING:
+    from adaptmg.multigrid.subspaces import RigidMotions
+    from adaptmg.multigrid.volume_pressures import VolumePressures
 
 
 @dataclass(frozen=True)

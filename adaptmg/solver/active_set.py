@@ -19,7 +19,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import rotate
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.augmented import Augmented
+from adaptmg.multigrid.volume_pressures import Augmented
 from adaptmg.smoother.conditions import Linearised, hold_all, linearise
 from adaptmg.smoother.factorisation import Condensed, condense, condense_problem
 from adaptmg.smoother.interior_point import ContactDofs, Interior, Span, interior_point
@@ -63,8 +63,8 @@ class ActiveSet:
     it, or from a given start, or leaves a motion free, they begin again from an interior point, with a smaller
     tolerance each time. Steps of both kinds count. Problems of up to 10 000 dofs (in 3D 3000) remember their factors,
     and share them with those that differ in load, gaps or friction alone. Smoothed elements with Poisson's ratios above
-    .499 take several solves with the same factors (:mod:`adaptmg.multigrid.augmented`); above .4 the matrix has 2 to 3
-    times the entries.
+    .499 take several solves with the same factors (:mod:`adaptmg.multigrid.volume_pressures`); above .4 the matrix has
+    2 to 3 times the entries.
 
     Examples
     --------

@@ -20,7 +20,7 @@ from scipy.sparse.linalg import lsmr
 
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import NestedStart
-from adaptmg.multigrid.rigid_motions import RigidMotions
+from adaptmg.multigrid.subspaces import RigidMotions
 from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.smoother.system import local_contact

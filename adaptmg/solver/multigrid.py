@@ -21,8 +21,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.corrections import Correction, Monotone
-from adaptmg.multigrid.cycle import CoarseSolve, Cycle, NestedStart
+from adaptmg.multigrid.cycle import CoarseSolve, Correction, Cycle, Monotone, NestedStart
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.solver.active_set import ActiveSet
@@ -63,7 +62,7 @@ class Multigrid:
     Parameters
     ----------
     correction : Truncated, Monotone, PaperCorrection or user-defined
-        Anything with ``transport`` and ``needs_initial`` (:class:`~adaptmg.multigrid.corrections.Correction`), or with
+        Anything with ``transport`` and ``needs_initial`` (:class:`~adaptmg.multigrid.cycle.Correction`), or with
         ``method(options, hierarchy, run)``, which brings its cycles (:class:`CustomCycles`). Default: Truncated(),
         which defines cycle, smoother, coarse solve and stopping test itself: the next five options are refused.
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested

@@ -1,7 +1,7 @@
 """Projected methods: SingleGrid, projected SOR on one grid, the paper's 'regular resolution'; and ProjectedRun, cycles
 of contact problems on all levels, for corrections that transport contact data.
 
-The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.corrections`.
+The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.cycle`.
 """
 
 from __future__ import annotations
@@ -12,12 +12,14 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.corrections import Correction, InitialContact, correction_levels
 from adaptmg.multigrid.cycle import (
     CoarseSolve,
+    Correction,
     Cycle,
+    InitialContact,
     MultigridCycle,
     NestedStart,
+    correction_levels,
     initial_contact,
     project,
     prolonged_start,

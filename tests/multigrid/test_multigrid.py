@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from smoother_problems import tresca_energy
 
 import adaptmg as am
-from adaptmg.multigrid.corrections import correction_levels
-from adaptmg.multigrid.cycle import MultigridCycle, project
+from adaptmg.multigrid.cycle import MultigridCycle, correction_levels, project
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.record import Run
 

@@ -7,10 +7,9 @@ import pytest
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.multigrid.coarse_contact import _eliminated
 from adaptmg.multigrid.linear_cycle import CoarseFactors
-from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
+from adaptmg.multigrid.subspaces import RigidMotions, _eliminated, null_combinations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.smoother import factorisation
 from adaptmg.smoother.factorisation import FACTORISED
