@@ -16,7 +16,7 @@ from .estimate.quantities import (
     Opening as Opening
 )
 from .estimate.indicators import Recovery as Recovery, Residual as Residual
-from .estimate.step import Step as Step
+from .estimate.loop import Step as Step
 from .hierarchy import Hierarchy as Hierarchy, Level as Level
 from .mesh import MeshArrays as MeshArrays, SizeNear as SizeNear
 from .multigrid import (

@@ -21,8 +21,7 @@ from adaptmg._text import say
 from adaptmg.estimate.engines import Bisect, Engine, sound_mesh
 from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
 from adaptmg.estimate.indicators import Residual
-from adaptmg.estimate.loop import AdaptiveLoop, Parts, Progress
-from adaptmg.estimate.step import LOOP_KINDS, Limits, Step, loop_fingerprint
+from adaptmg.estimate.loop import LOOP_KINDS, AdaptiveLoop, Limits, Parts, Progress, Step, loop_fingerprint
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import need_domain
 from adaptmg.mesh.grading import measures

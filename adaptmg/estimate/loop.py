@@ -1,4 +1,4 @@
-r"""AdaptiveLoop: from mesh to mesh: mark, refine, carry over, solve, estimate, store.
+r"""AdaptiveLoop: from mesh to mesh: mark, refine, carry over, solve, estimate, store; and the Step that each yields.
 
 Each mesh is solved from the solution before. The rate of multigrid depends on the local size
 ratio of neighbouring levels, the element sizes :math:`H/h` at the same place (measured on a flat punch: 3.3, 6.5, 12,
@@ -9,41 +9,196 @@ ratio of neighbouring levels, the element sizes :math:`H/h` at the same place (m
   bisections of everything near a singularity, the flat punch's rate goes from .6 to .75 and the work of the loop up).
 
 With a load path every mesh goes along the whole path, and is refined for its last load step or for all.
+
+With N nodes in d dimensions good meshes have :math:`\eta \sim N^{-1/d}`; the cost of the meshes so far is about
+proportional to the nodes of the last, as they grow geometrically.
+
+In a folder each step is one file of a :class:`adaptmg.solver.store.StepStore`: the result with its mesh, and a
+:class:`StoredStep`. A killed loop goes on with the same numbers. Limits are not part of the fingerprint: a loop may go
+on under others.
 """
 
 from __future__ import annotations
 
+import hashlib
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
-from adaptmg._numba import clock, compiling_seconds
+from adaptmg import _checks as checks
+from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.engines import Engine, divisible, sound_mesh
-from adaptmg.estimate.estimate import Estimate, Indicator, Mark, estimate_of, marks_of
-from adaptmg.estimate.step import Limits, Step, StoredStep, expected_seconds, restored, settled
+from adaptmg.estimate.estimate import Estimate, Found, Indicator, Mark, estimate_of, marks_of
+from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh import with_source
+from adaptmg.mesh.arrays import MeshArrays, Refinement
 from adaptmg.mesh.bisection import with_refinement
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.problem import LoadPath, step_problem
 from adaptmg.solver.advice import once
 from adaptmg.solver.load_path import PathResult, solve_path
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
-from adaptmg.solver.record import Solver
-from adaptmg.solver.result import Result
+from adaptmg.solver.record import Run, Solver
+from adaptmg.solver.result import KINDS, Result
 from adaptmg.solver.solve import solve
-from adaptmg.solver.store import StepStore, Stored
+from adaptmg.solver.store import StepStore, Stored, fingerprint
 from adaptmg.transfer.interpolation import size_ratio
+
+if TYPE_CHECKING:
+    import pandas
 
 _LOG = logging.getLogger(__name__)
 
 Progress = Callable[[dict[str, float | str]], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """When the loop ends."""
+
+    tolerance: float | None = None  # for the relative estimate
+    max_nodes: int | None = None
+    max_seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.tolerance is None and self.max_nodes is None and self.max_seconds is None:
+            raise ValueError("give at least one of tolerance, max_nodes and max_seconds: the loop would never end")
+        if self.tolerance is not None:
+            object.__setattr__(self, "tolerance", checks.tolerance("tolerance", self.tolerance))
+        if self.max_nodes is not None:
+            checks.integer("max_nodes", self.max_nodes, 1)
+        if self.max_seconds is not None:
+            object.__setattr__(self, "max_seconds", checks.positive("max_seconds", self.max_seconds))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Step(Generic[Found]):
+    """A mesh of the adaptive loop, solved and estimated; printing it shows a line with its figures.
+
+    Attributes
+    ----------
+    number : int
+        0 for the start.
+    hierarchy : Hierarchy
+        All levels that were used; its finest is the mesh of the step.
+    result : Result
+        On it, solved to ``result.rtol`` (by default 1e-6, far below the estimate, so that forces and compliances hold);
+        of a load path that of the load step by which the mesh is refined.
+    estimate : Estimate
+    timings : dict of str to float
+        Seconds of this step by phase: "mesh" (marking and refining the mesh before), "assembly", "transfer", "levels"
+        (which meshes stay), "solve", "estimate", "store".
+    total_seconds : float
+        Of all steps so far.
+    work_units, total_work_units : float
+        Of the solve, and of all solves so far, in passes over the finest matrix of this step.
+    path : PathResult or None
+        All load steps, where there is a load path.
+    settled : bool or None
+        Of a goal: whether its signed estimates have the sign of those of the mesh before, and are no smaller than the
+        change of the corrected values since then; False on the first mesh. While they are not, the printed step says
+        "not settled", and only two meshes in a row below it end the loop by ``tolerance``. None for energy norms.
+    outcome : str
+        Why the loop stopped after this step; empty as long as it has not.
+
+    Examples
+    --------
+    >>> problem = am.cases.greco_bar()
+    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=20))
+    >>> steps[0].nodes < steps[-1].nodes
+    True
+    """
+
+    number: int
+    hierarchy: Hierarchy
+    result: Result
+    estimate: Found
+    timings: Mapping[str, float]
+    total_seconds: float
+    work_units: float
+    total_work_units: float
+    path: PathResult | None = None
+    settled: bool | None = None
+    outcome: str = ""
+
+    @property
+    def nodes(self) -> int:
+        """Nodes of the mesh."""
+        return self.hierarchy.finest.n_nodes
+
+    @property
+    def seconds(self) -> float:
+        """Of this step, the mesh included."""
+        return float(sum(self.timings.values()))
+
+    def __repr__(self) -> str:
+        doubtful = " (not settled)" if self.settled is False else ""
+        text = (f"step {self.number:>2}: {self.nodes:>7} nodes, {len(self.hierarchy):>2} levels, estimate "
+                f"{self.estimate.relative:>7.3%}{doubtful}, {self.result.cycles:>3} cycles, {self.work_units:>6.1f} "
+                f"work units ({self.total_work_units:.1f} in all), {self.seconds:.3g} s ({self.total_seconds:.3g} s "
+                "in all)")
+        return shortened(f"{text}; {self.outcome}" if self.outcome else text)
+
+    def _repr_html_(self) -> str:
+        return html_table(self.table([self])) + in_html_lines(self.outcome)
+
+    @staticmethod
+    def table(steps: Sequence[Step]) -> pandas.DataFrame:
+        """Return one row a step, with units in the heads: ``am.Step.table(list(am.adapt(...)))``."""
+        import pandas
+
+        return pandas.DataFrame([
+            {"step": step.number, "nodes": step.nodes, "levels": len(step.hierarchy),
+             "contact_nodes": len(step.result.contact), "estimate": step.estimate.relative,
+             "status": step.result.status.name, "rtol": step.result.rtol, "cycles": step.result.cycles,
+             "work_units": step.work_units, "total_work_units": step.total_work_units, "seconds [s]": step.seconds,
+             "total_seconds [s]": step.total_seconds, "pressure [Pa]": step.result.max_pressure}
+            for step in steps])
+
+
+def expected_seconds(steps: Sequence[Step], limits: Limits) -> float:
+    """Return the seconds that the whole loop will have taken when a limit stops it; NaN if nothing is expected."""
+    last, ends = steps[-1], []
+    if limits.max_nodes is not None:
+        ends.append(last.total_seconds * max(limits.max_nodes / last.nodes, 1.0))
+    if limits.tolerance is not None and last.estimate.relative > 0:
+        dim = last.result.dim
+        ends.append(last.total_seconds * max(last.estimate.relative / limits.tolerance, 1.0) ** dim)
+    if limits.max_seconds is not None:
+        ends.append(max(limits.max_seconds, last.total_seconds))
+    return min(ends) if ends else float("nan")
+
+
+def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
+    """Return :attr:`Step.settled` of an estimate, given that of the mesh before."""
+    if estimate.signed is None:
+        return None
+    if before is None or before.signed is None:
+        return False
+    (values, errors), (old_values, old_errors) = (
+        (one.values, one.errors) if isinstance(one, GoalEstimate) else (np.array([one.value]), np.array([one.signed]))
+        for one in (estimate, before))
+    change = np.abs(values + errors - old_values - old_errors) if values.shape == old_values.shape else np.inf
+    return bool(((errors * old_errors > 0) & (change <= np.abs(errors))).all())
+
+
+@dataclass(frozen=True, eq=False)
+class StoredStep:
+    """What a store has of a step next to its result."""
+
+    estimate: Estimate
+    levels: list[MeshArrays]  # the meshes of all levels
+    history: Refinement | None  # the bisections that made its own mesh
+    numbers: dict[str, float]  # total_seconds, work_units, total_work_units
+    timings: dict[str, float]
+    path: PathResult | None = None
 
 
 @dataclass(frozen=True)
@@ -56,27 +211,6 @@ class Parts:
     solver: Solver | None = None
     load_path: LoadPath | None = None
     adapt_on: str = "last"
-
-
-@dataclass
-class _Clock:
-    """Seconds by phase."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        begin, compiled = clock(), compiling_seconds()
-        try:
-            yield
-        finally:
-            for what, spent in ((name, clock() - begin), ("compiling", compiling_seconds() - compiled)):
-                if spent or what == name:
-                    self.seconds[what] = self.seconds.get(what, 0.0) + spent
-
-    def take(self) -> dict[str, float]:
-        taken, self.seconds = self.seconds, {}
-        return taken
 
 
 #: nodes of the next mesh over those of the last, below which it is not worth making
@@ -103,8 +237,8 @@ class AdaptiveLoop:
     def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: StepStore | None,
                  progress: Progress | None) -> None:
         self.first, self.parts, self.limits, self.store, self.progress = start, parts, limits, store, progress
-        self.clock = _Clock()
-        self.clock.seconds |= start.timings
+        self.clock = Run(unit=1)
+        self.clock.timings |= start.timings
         self.done: list[Step] = []
         self.steering: Estimate | None = None
         self.said: set[str] = set()  # kinds of warnings, each given once in the loop
@@ -112,7 +246,7 @@ class AdaptiveLoop:
     def steps(self) -> Iterator[Step]:
         """Yield the steps, those of the store first."""
         for number, stored in enumerate(() if self.store is None else self.store.steps()):
-            self.clock.take()
+            self.clock.timings = {}
             self._remember(self._restored(number, stored))
             yield self.done[-1]
         if not self.done:
@@ -192,8 +326,8 @@ class AdaptiveLoop:
         for name, seconds in (item for item in grown.timings.items() if item[0] != "compiling"):
             # what the hierarchy spent is not part of choosing levels
             spent = seconds - before.timings.get(name, 0.0)
-            self.clock.seconds[name] = self.clock.seconds.get(name, 0.0) + spent
-            self.clock.seconds["levels"] -= spent
+            self.clock.timings[name] = self.clock.timings.get(name, 0.0) + spent
+            self.clock.timings["levels"] -= spent
         return grown, start
 
     @one_blas_thread()
@@ -216,7 +350,8 @@ class AdaptiveLoop:
                 k, estimate, self.steering = _path_estimate(hierarchy, parts, path)
                 result = path[k]
         work = result.work_units if path is None else sum(one.work_units for one in path)
-        nonzeros, timings = hierarchy.finest.matrix.nnz, self.clock.take()
+        nonzeros, timings = hierarchy.finest.matrix.nnz, self.clock.timings
+        self.clock.timings = {}
         before = 0.0 if last is None else last.total_work_units * last.hierarchy.finest.matrix.nnz / nonzeros
         step = Step(number, hierarchy, result, estimate, timings,
                     sum(timings.values()) + (0.0 if last is None else last.total_seconds), work, work + before, path,
@@ -257,7 +392,7 @@ class AdaptiveLoop:
         if self.progress is None:
             return
         last = self.done[-1] if self.done else None
-        seconds = sum(self.clock.seconds.values()) + (0.0 if last is None else last.total_seconds)
+        seconds = sum(self.clock.timings.values()) + (0.0 if last is None else last.total_seconds)
         self.progress({"step": len(self.done) - (phase == "done"), "phase": phase, "nodes": nodes, "seconds": seconds,
                        "estimate": float("nan") if last is None else last.estimate.relative,
                        "expected_seconds": float("nan") if last is None else expected_seconds(self.done, self.limits)})
@@ -353,3 +488,37 @@ def _path_estimate(hierarchy: Hierarchy, parts: Parts, results: PathResult) -> t
     shares = np.max([min(one.relative, 1.0) ** 2 / (one.squares.sum() or 1.0) * one.squares
                      for one in estimates.values()], axis=0)
     return k, estimates[k], replace(estimates[k], squares=shares)
+
+
+#: what the file of a step holds; user-defined estimates come back as Estimate
+LOOP_KINDS = (*KINDS, StoredStep, GoalEstimate, Estimate, PathResult, Refinement)
+
+
+def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path: LoadPath | None = None,
+                     depends: Mapping[str, object] | None = None) -> dict[str, object]:
+    """Return the fingerprint of a loop that begins with a hierarchy, with its options by name: indicator, mark, engine,
+    ..."""
+    loads = [load_steps(start.problem, level.mesh, level.discrete) for level in start.levels]
+    factors = {} if load_path is None else load_path.resolved(start.problem)
+    # the problem itself, since another law or gap may differ only between the nodes of the first mesh; references only
+    # document it
+    posed = {part.name: getattr(start.problem, part.name) for part in fields(start.problem) if part.name != "reference"}
+    return fingerprint(start, loads, factors, 0 if load_path is None else len(load_path), posed | dict(options), None,
+                       depends)
+
+
+def restored(before: Hierarchy, meshes: Sequence[MeshArrays]) -> Hierarchy:
+    """Return the hierarchy of a stored step, which has these meshes, made of that of the step before."""
+    stored = [_key(mesh) for mesh in meshes]
+    there = [_key(level.mesh) for level in before.levels]
+    for key, mesh in zip(stored, meshes, strict=True):
+        if key not in there:
+            before = before.append(with_source(mesh))
+            there.append(key)
+    for level in reversed([k for k, key in enumerate(there) if key not in stored]):
+        before = before.without(level)
+    return before
+
+
+def _key(mesh: MeshArrays) -> bytes:
+    return hashlib.sha256(mesh.points.tobytes() + mesh.elements.tobytes()).digest()

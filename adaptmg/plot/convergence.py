@@ -13,7 +13,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from adaptmg import _checks as checks
-from adaptmg.estimate.step import Step
+from adaptmg.estimate.loop import Step
 from adaptmg.plot import style
 from adaptmg.plot.bodies import Coloring, draw_bodies, state_marks
 from adaptmg.solver.result import Result

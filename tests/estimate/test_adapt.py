@@ -13,8 +13,18 @@ from hypothesis import strategies as st
 
 import adaptmg as am
 from adaptmg.estimate import loop as solving
-from adaptmg.estimate.loop import CLOSE, RATIO, RTOL, THINNED, appended, carried, posed_at, thinned
-from adaptmg.estimate.step import Limits, expected_seconds
+from adaptmg.estimate.loop import (
+    CLOSE,
+    RATIO,
+    RTOL,
+    THINNED,
+    Limits,
+    appended,
+    carried,
+    expected_seconds,
+    posed_at,
+    thinned,
+)
 from adaptmg.mesh import structured
 from adaptmg.transfer import size_ratio
 from adaptmg.transfer.interpolation import _size_ratios
