@@ -9,13 +9,14 @@ from .discrete.discretise import discretise as discretise
 from .discrete.problem import ContactNodes as ContactNodes, DiscreteProblem as DiscreteProblem
 from .estimate.adapt import adapt as adapt
 from .estimate.engines import Bisect as Bisect, Remesh as Remesh
-from .estimate.estimate import Doerfler as Doerfler, Estimate as Estimate, Maximum as Maximum
+from .estimate.estimate import (
+    Doerfler as Doerfler, Estimate as Estimate, Maximum as Maximum, Recovery as Recovery, Residual as Residual
+)
 from .estimate.goal import Goal as Goal, GoalEstimate as GoalEstimate
 from .estimate.quantities import (
     ContactForce as ContactForce, Displacement as Displacement, MeanDisplacement as MeanDisplacement,
     Opening as Opening
 )
-from .estimate.indicators import Recovery as Recovery, Residual as Residual
 from .estimate.loop import Step as Step
 from .hierarchy import Hierarchy as Hierarchy, Level as Level
 from .mesh import MeshArrays as MeshArrays, SizeNear as SizeNear

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from adaptmg.estimate.engines import Remesh
-from adaptmg.estimate.estimate import Doerfler, Estimate, Maximum
-from adaptmg.estimate.indicators import Recovery, Residual
+from adaptmg.estimate.estimate import Doerfler, Estimate, Maximum, Recovery, Residual
 from adaptmg.estimate.reference_error import EnergyError, Reference, energy_error
 
 __all__ = ["Doerfler", "EnergyError", "Estimate", "Maximum", "Recovery", "Reference", "Remesh", "Residual",

@@ -19,8 +19,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._text import say
 from adaptmg.estimate.engines import Bisect, Engine, sound_mesh
-from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark
-from adaptmg.estimate.indicators import Residual
+from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark, Residual
 from adaptmg.estimate.loop import LOOP_KINDS, AdaptiveLoop, Limits, Parts, Progress, Step, loop_fingerprint
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import need_domain

@@ -9,7 +9,7 @@ the reference's mesh would have another energy wherever elements overlap.
 
 For u stands the reference :math:`u_H`. By Galerkin orthogonality (exact for nested spaces without contact)
 :math:`\|u - u_h\|^2 \approx \|u_H - u_h\|^2 + \|u - u_H\|^2`, so that the reference's own error is added; unless it is
-given it is estimated by :class:`~adaptmg.estimate.indicators.Recovery`. Measured on exact solutions the result is right
+given it is estimated by :class:`~adaptmg.estimate.estimate.Recovery`. Measured on exact solutions the result is right
 to .4 times the square of the quotient of both errors: 2 % against a reference of four times less error.
 """
 
@@ -24,7 +24,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.supports import held_by, supported_nodes
-from adaptmg.estimate.indicators import Recovery
+from adaptmg.estimate.estimate import Recovery
 from adaptmg.estimate.stress_fields import posed
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays

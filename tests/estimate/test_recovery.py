@@ -12,7 +12,7 @@ import adaptmg as am
 from adaptmg.discrete import stress as fit
 from adaptmg.discrete.elasticity import stiffness
 from adaptmg.discrete.stress import StressData
-from adaptmg.estimate.indicators import recovered_energy
+from adaptmg.estimate.estimate import recovered_energy
 from adaptmg.estimate.stress_fields import ElementStress, element_stress
 
 KINDS = {2: am.PlaneStrain, 3: am.Solid}

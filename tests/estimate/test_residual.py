@@ -12,7 +12,7 @@ from made import cube, result_on, square
 import adaptmg as am
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate import stress_fields
-from adaptmg.estimate.indicators import condition_squares
+from adaptmg.estimate.estimate import condition_squares
 from adaptmg.estimate.stress_fields import Posed, neighbours
 from adaptmg.mesh.arrays import MeshArrays
 
