@@ -24,7 +24,7 @@ from adaptmg._checks import indices_frozen
 from adaptmg._numba import inner_kernel, kernel, read_only
 from adaptmg._threads import LARGE, in_colours, in_parts, scattering
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.hierarchy import Hierarchy, Level
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, minus_row, read, scale, times, write
 from adaptmg.smoother.strips import Strips, product
 from adaptmg.transfer.galerkin import galerkin_product, seen, without_fixed
@@ -175,10 +175,11 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
     The finest matrix, which no truncation changes, is symmetric."""
     matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
     result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
-    for level, nodal in zip(reversed(hierarchy.levels[:-1]), reversed(prolongations), strict=True):
+    for above, level, nodal in zip(reversed(hierarchy.levels[1:]), reversed(hierarchy.levels[:-1]),
+                                   reversed(prolongations), strict=True):
         if level.discrete_or_none is None:
             matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
-        elif level.discrete.coupling is None and is_galerkin(matrix, nodal, level.discrete.matrix):
+        elif level.discrete.coupling is None and _nested(above, matrix, nodal, level.discrete.matrix):
             matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
         else:
             finer = seen(nodal, finer)
@@ -187,6 +188,15 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
         fine = level.discrete_or_none
         result.insert(0, split(matrix, fixed))
     return result
+
+
+def _nested(above: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array) -> bool:
+    """Whether ``coarse`` is the Galerkin matrix; the level above remembers, as growing hierarchies ask each time."""
+    asked = above.__dict__.get("_galerkin_of")
+    if asked is None or asked[0] is not matrix or asked[1] is not coarse:
+        asked = matrix, coarse, is_galerkin(matrix, nodal, coarse)
+        object.__setattr__(above, "_galerkin_of", asked)
+    return asked[2]
 
 
 def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array,

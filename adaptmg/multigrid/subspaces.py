@@ -89,6 +89,7 @@ class RigidMotions:
     load: np.ndarray  # (n_dofs,): f
     coefficients: np.ndarray  # (k, m): of the motions, in the columns of problem.near_nullspace
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
+    _last: tuple[bytes, np.ndarray] = (b"", np.empty(0))  # the last status and the combinations free in it
 
     #: steps at most
     STEPS: ClassVar[int] = 30
@@ -104,9 +105,7 @@ class RigidMotions:
 
     def settle(self, unknowns: np.ndarray, past: list[np.ndarray], residual: np.ndarray) -> int:
         """Move to the least energy, in place, and the ``past`` iterates along; returns the number of steps."""
-        if self._work is None:
-            return 0
-        descent = _Descent(self.contact, self.at_contact, self._work, residual)
+        descent = _Descent(self, residual)
         total, steps = np.zeros(self.at_contact.shape[2]), 0
         while steps < self.STEPS and (change := descent.step()) is not None:
             total, steps = total + change, steps + 1
@@ -114,8 +113,16 @@ class RigidMotions:
             self._move(total, unknowns, past)
         return steps
 
+    def free(self, closed: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Return the combinations (m, j) that move closed nodes along the obstacle only, and held ones not at all."""
+        key = closed.tobytes() + held.tobytes()
+        if key != self._last[0]:
+            rows = [self.at_contact[closed, 0], self.at_contact[held, 1:].reshape(-1, self.at_contact.shape[2])]
+            self._last = key, null_combinations(np.concatenate(rows))
+        return self._last[1]
+
     @cached_property
-    def _work(self) -> np.ndarray | None:
+    def work(self) -> np.ndarray | None:
         """The work (m,) of the load on the motions; None where they strain the body."""
         motions = self.problem.near_nullspace @ self.coefficients
         forces = self.problem.matrix @ motions
@@ -149,9 +156,9 @@ class _Descent:
     #: reciprocal conditioning from which on H counts as regular
     REGULAR: ClassVar[float] = 1e-8
 
-    def __init__(self, contact: TruncatedContact, motions: np.ndarray, work: np.ndarray, residual: np.ndarray) -> None:
-        dim = contact.dim
-        self.contact, self.motions, self.work, self.factor = contact, motions, work, 1.0
+    def __init__(self, motions: RigidMotions, residual: np.ndarray) -> None:
+        contact, dim = motions.contact, motions.contact.dim
+        self.contact, self.motions, self.factor = contact, motions, 1.0
         self.values, self.reference = contact.values.reshape(-1, dim), contact.reference.reshape(-1, dim - 1)
         normals = contact.frames.reshape(-1, dim, dim)[:, 0]
         self.pressure = np.maximum(np.einsum("ni,ni->n", normals, residual.reshape(-1, dim)[contact.nodes]), 0.0)
@@ -162,16 +169,15 @@ class _Descent:
         closed = self.values[:, 0] == o.gap
         resists = (o.limit > 0) | (closed & (o.friction > 0))
         held = resists & ~slip.any(axis=1)
-        free = null_combinations(np.concatenate([
-            self.motions[closed, 0], self.motions[held, 1:].reshape(-1, len(self.work))]))
-        if not free.shape[1]:
+        free, values = self.motions.free(closed, held), self.motions.at_contact
+        if not free.shape[1] or self.motions.work is None:
             return None
         bound = np.where(resists, o.limit + np.where(closed, o.friction * self.pressure, 0.0), 0.0)
-        tangents, force = self.motions[:, 1:] @ free, free.T @ self.work
+        tangents, force = values[:, 1:] @ free, free.T @ self.motions.work
         direction = self._direction(self.factor * bound, slip, tangents, force)
         if direction is None:
             return None
-        along, across = tangents @ direction, self.motions[:, 0] @ (free @ direction)
+        along, across = tangents @ direction, values[:, 0] @ (free @ direction)
         speed = np.linalg.norm(along, axis=1)
         small = _ZERO * max(speed.max(), np.abs(across).max())
         closing = ~closed & (across > small) & np.isfinite(o.gap)
@@ -201,7 +207,7 @@ class _Descent:
                 held[node] = True
         change = free @ change
         # nodes that were closed or held, or are now, are so to the bit
-        self.values += self.motions @ change
+        self.values += values @ change
         self.values[:, 0] = np.where(closed, o.gap, np.minimum(self.values[:, 0], o.gap))
         self.values[:, 1:] = np.where(held[:, None], self.reference, self.values[:, 1:])
         return change

@@ -26,6 +26,7 @@ from adaptmg.estimate.loop import (
     thinned,
 )
 from adaptmg.mesh import structured
+from adaptmg.multigrid import split_matrix
 from adaptmg.transfer import size_ratio
 from adaptmg.transfer.interpolation import _size_ratios
 
@@ -345,6 +346,17 @@ def test_a_mesh_is_put_between_where_sizes_fall_too_much(offered, fine, kept, as
     ((6, 17, 20), False, (6, 20)), ((6, 20, 24), False, (6, 20, 24))])  # without it sizes are too far apart
 def test_close_levels_that_are_not_needed_are_dropped(sizes, last, kept):
     assert tuple(nodes(thinned(grids(*sizes), last=last))) == kept
+
+
+def test_whether_levels_are_nested_is_asked_once(monkeypatch):
+    hierarchy, asked, is_galerkin = grids(3, 6, 12), [], split_matrix.is_galerkin
+    monkeypatch.setattr(split_matrix, "is_galerkin", lambda *given: asked.append(given) or is_galerkin(*given))
+    for _ in range(2):
+        am.solve(hierarchy, am.Multigrid(rtol=1e-6))
+    assert len(asked) == 2
+    # another coarse level below the same fine one is another question
+    am.solve(hierarchy.without(1), am.Multigrid(rtol=1e-6))
+    assert len(asked) == 3
 
 
 @settings(max_examples=12, deadline=None)
