@@ -24,7 +24,6 @@ from adaptmg.estimate.loop import LOOP_KINDS, AdaptiveLoop, Limits, Parts, Progr
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import need_domain
 from adaptmg.mesh.grading import measures
-from adaptmg.mesh.netgen_guard import MAX_NODES
 from adaptmg.problem import ContactProblem, LoadPath
 from adaptmg.problem.load_path import obstacles_in_path
 from adaptmg.solver.store import StepStore
@@ -69,7 +68,7 @@ def adapt(problem: ContactProblem,
     max_nodes : int, optional
         No mesh has more; a first mesh that has more is refused, a size that asks for far more before it is meshed.
     max_seconds : float, optional
-        No step begins after this time, meshes included. A size of the first mesh is refused that needs many more.
+        No step begins after this time, meshes included.
     store : path, optional
         A folder where every step is kept immediately. A loop that was interrupted, or killed, goes on after its last
         complete step, and ends with the same numbers; steps that are there are yielded again. A folder with steps of
@@ -165,10 +164,8 @@ def _check(parts: Parts) -> None:
 _NODES = 20_000
 #: sizes of the first mesh over the extent of a body by default, and elements along a contact boundary at least
 _ACROSS, _ALONG = {2: 8, 3: 4}, 3
-#: a size is refused before it is meshed if the expected nodes, which are good to 15 %, exceed a limit by this factor
+#: a size is refused before it is meshed if the expected nodes, which are good to 15 %, exceed the limit by this factor
 _SURELY = 1.5
-#: seconds in which Netgen makes the largest meshes; shorter limits than the least one say nothing about a first mesh
-_SECONDS, _LEAST = 900.0, 1.0
 
 
 def _first_hierarchy(problem: ContactProblem, start: Start, transfer: Transfer | None, engine: Engine, limits: Limits
@@ -213,15 +210,12 @@ def _of_size(problem: ContactProblem, start: Real | None, transfer: Transfer | N
         size = float(f"{(sum(volumes) / len(volumes)) ** (1 / dim) / _ACROSS[dim]:.2g}")
         shortest = min((lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf)
         ratio = max(ratio, _ALONG * size / shortest)
-    in_time = math.inf if limits.max_seconds is None else MAX_NODES[dim] / _SECONDS * max(limits.max_seconds, _LEAST)
-    most = min(math.inf if limits.max_nodes is None else limits.max_nodes, in_time)
-    cells = NODES_PER_CELL[dim] * sum(volumes)
+    cells, most = NODES_PER_CELL[dim] * sum(volumes), limits.max_nodes
     with np.errstate(over="ignore", divide="ignore"):
         nodes = float(cells * np.float64(1 / size) ** dim)
-    if nodes > _SURELY * most:
-        name = "max_nodes" if most == limits.max_nodes else "max_seconds"
-        raise ValueError(f"start must be at least {(cells / most) ** (1 / dim):.2g} m for {name}="
-                         f"{getattr(limits, name):g}, got {size:g}: its mesh has about {nodes:.2g} nodes")
+    if most is not None and nodes > _SURELY * most:
+        raise ValueError(f"start must be at least {(cells / most) ** (1 / dim):.2g} m for max_nodes={most}, got "
+                         f"{size:g}: its mesh has about {nodes:.2g} nodes")
     make = getattr(engine, "first", None)
     with _naming_start():
         mesh = make(problem, size) if callable(make) else None

@@ -175,8 +175,6 @@ def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
     for start in (1e-4, 1e-200):
         with pytest.raises(ValueError, match=r"start must be at least 0\.00096 m for max_nodes=2000, got"):
             am.adapt(problem, start, engine=engine, max_nodes=2000)
-        with pytest.raises(ValueError, match=r"start must be at least .* for max_seconds=3, got"):
-            am.adapt(problem, start, engine=engine, max_nodes=10**7, max_seconds=3)
 
 
 @pytest.mark.parametrize(("case", "size", "engine"), [
