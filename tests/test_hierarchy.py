@@ -252,6 +252,15 @@ def test_another_problem_on_these_meshes_is_as_built_from_them():
             assert k > 0 or new.finest.matrix is old.finest.matrix
 
 
+def test_other_supports_of_slave_nodes_change_prolongations():
+    blocks = am.cases.two_block_patch(law=am.Frictionless())
+    old = am.Hierarchy.uniform(blocks, [{"upper": n, "lower": n + 1} for n in (2, 4)])
+    for other in (blocks, replace(blocks, supports=(*blocks.supports, am.Support("upper.bottom", x=0.0)))):
+        new = old.with_problem(other)
+        assert same(new, am.Hierarchy.from_meshes(other, [level.mesh for level in old.levels]))
+        assert (new.finest.prolongation is old.finest.prolongation) is (other is blocks)
+
+
 @pytest.mark.parametrize("where", ["load", "gap"])
 def test_another_problem_evaluates_functions_again(where):
     scale = [1.0]
