@@ -1,7 +1,7 @@
 """Runs on workers of dask.distributed: on processes of this machine, or on a cluster of the user.
 
-A run is sent when a worker is free, so that the run of a worker that dies is identified and tried again. Results come
-back through dask: workers need no disk in common with this process.
+A run is sent when a worker is free, so that the run of a worker that dies is identified; dask tries it again. Results
+come back through dask: workers need no disk in common with this process.
 
 This process decides that a run is over its time: the clock starts when the worker reports that the run begins. The run
 is cancelled, and dask's nanny kills the process, even one in compiled code, and starts another. A nanny also ends a
@@ -31,8 +31,7 @@ import sys
 import threading
 import time
 import uuid
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,8 +52,6 @@ from adaptmg.study.store import Record
 
 _log = logging.getLogger(__name__)
 
-#: starts of a run until it counts as failed
-MOST_TRIES = 3
 #: seconds that a cluster may take to have a worker, and for a scheduler to answer
 PATIENCE_S, CONNECT_S = 60.0, 10.0
 #: set before a worker imports anything: one thread everywhere
@@ -62,8 +59,8 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
                              "VECLIB_MAXIMUM_THREADS", "NGS_NUM_THREADS"), "1")
 _FOLDER = "ADAPTMG_WORKERS_FOLDER"
 _CONFIG = {
-    # the death of a worker is reported immediately, and the study counts the tries
-    "distributed.scheduler.allowed-failures": 0,
+    # a run is started once more where its worker dies
+    "distributed.scheduler.allowed-failures": 1,
     # a worker that waits because memory is short would wait for ever: runs hand nothing on
     "distributed.worker.memory.target": False, "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False, "distributed.worker.memory.terminate": 1.0,
@@ -213,11 +210,11 @@ def _ready(order: bytes) -> tuple[RunFunction, bool]:
     return execute.readied(unpacked), unpacked.fingerprint.uses_adaptmg
 
 
-def _on_worker(order: bytes, point: Point, tries: int, name: str, topic: str) -> Finished:
+def _on_worker(order: bytes, point: Point, name: str, topic: str) -> Finished:
     """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts. A function
     that holds Python's lock would keep a report that is only on its way."""
     worker = get_worker()
-    return execute.perform(*_ready(order), point, tries, lambda: topic and sync(
+    return execute.perform(*_ready(order), point, lambda: topic and sync(
         worker.loop, worker.scheduler.log_event, topic=topic, msg={"run": name, "worker": worker.address}))
 
 
@@ -231,15 +228,14 @@ class _Run:
     """A run that is out."""
 
     point: Point
-    tries: int
     sent: float
     future: Future
     worker: str = ""  # where it has begun, if there is a limit
     began: float = math.inf
 
-    def failed(self, error: str, tries: int, exception: BaseException | None = None) -> Finished:
+    def failed(self, error: str, exception: BaseException | None = None) -> Finished:
         """Return the outcome of a run that gave none."""
-        return Finished(Record(parameters=self.point, status="failed", error=error, tries=tries,
+        return Finished(Record(parameters=self.point, status="failed", error=error,
                                seconds=time.monotonic() - self.sent), exception=exception)
 
 
@@ -254,7 +250,6 @@ class _Runs:
         self._client, self._order, self._limit_s = client, pickle.dumps(order), math.inf if limit_s is None else limit_s
         self._name, self._numbers = f"adaptmg-{uuid.uuid4().hex[:12]}", itertools.count()
         self._points, self._open = points, True
-        self._again: deque[tuple[Point, int]] = deque()  # whose workers died, with the number of the try
         self._out: dict[str, _Run] = {}
         self._back: queue.SimpleQueue[tuple[str, Finished | BaseException]] = queue.SimpleQueue()
         self._large: set[str] = set()  # workers that held too much memory
@@ -281,16 +276,14 @@ class _Runs:
     def _send(self) -> None:
         slots = self._slots()
         while len(self._out) < slots:
-            point, tries = self._again.popleft() if self._again else (next(self._points, _END), 1)
-            if point is None:  # other processes compute those that are left
-                return
-            if point is _END:
-                self._open = False
+            point = next(self._points, _END)
+            if point is None or point is _END:  # or other processes compute those that are left
+                self._open = point is None
                 return
             name = f"{self._name}-{next(self._numbers)}"
-            future = self._client.submit(_on_worker, self._order, point, tries, name,
+            future = self._client.submit(_on_worker, self._order, point, name,
                                          self._name * (self._limit_s < math.inf), key=name, pure=False)
-            self._out[name] = _Run(point, tries, time.monotonic(), future)
+            self._out[name] = _Run(point, time.monotonic(), future)
             future.add_done_callback(functools.partial(self._fetch, name))
 
     def _slots(self) -> int:
@@ -300,7 +293,7 @@ class _Runs:
             self._seen = time.monotonic()
             if not count:
                 _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
-                             len(self._out) + len(self._again))
+                             len(self._out))
                 if isinstance(self._client.cluster, LocalCluster):
                     raise OSError("the processes of runs ended, and dask does not start them again: run the study "
                                   "again, with fewer workers")
@@ -328,9 +321,8 @@ class _Runs:
             if name not in self._client.processing().get(run.worker, ()):
                 continue  # its worker died, and dask starts it again on another one, with a new clock
             # cancelled first, so that dask does not start it elsewhere
-            self._back.put((name, run.failed(f"TimeLimit: stopped after limit_s={self._limit_s:g} s", run.tries)))
-            self._client.cancel([run.future], force=True)
-            self._client.run(_kill_worker, nanny=True, workers=[run.worker], on_error="ignore")
+            self._back.put((name, run.failed(f"TimeLimit: stopped after limit_s={self._limit_s:g} s")))
+            self._stop([run], [run.worker])
 
     def _drop(self) -> None:
         """Cancel the runs that are out; on a cluster that goes on, nannies restart the workers that compute them."""
@@ -339,9 +331,12 @@ class _Runs:
         # the scheduler does not know yet where a run of a moment ago is
         time.sleep(0.2)
         busy = [address for address, keys in self._client.processing().items() if set(keys) & set(self._out)]
-        self._client.cancel([run.future for run in self._out.values()], force=True)
-        if busy:
-            self._client.run(_kill_worker, nanny=True, workers=busy, on_error="ignore")
+        self._stop(self._out.values(), busy)
+
+    def _stop(self, runs: Iterable[_Run], workers: list[str]) -> None:
+        self._client.cancel([run.future for run in runs], force=True)
+        if workers:
+            self._client.run(_kill_worker, nanny=True, workers=workers, on_error="ignore")
 
     def _come_back(self) -> list[tuple[str, Finished | BaseException]]:
         """Return what is back, after a while nothing."""
@@ -354,7 +349,7 @@ class _Runs:
         return results
 
     def _outcome(self, name: str, result: Finished | BaseException) -> Finished | None:
-        """Return the outcome of a run; None if it is tried again, or was stopped."""
+        """Return the outcome of a run; None if it was stopped."""
         run = self._out.pop(name, None)
         if run is None:
             return None
@@ -366,13 +361,7 @@ class _Runs:
         if isinstance(result, UnfitWorker | ImportError | AttributeError):
             raise RuntimeError(f"a worker that joined cannot compute this study: {result}") from result
         if not isinstance(result, KilledWorker):
-            return run.failed(execute.error_text(result), run.tries, result)
+            return run.failed(execute.error_text(result), result)
         if result.last_worker is not None and result.last_worker.address in self._large:
-            return run.failed("MemoryLimit: stopped as its process held more than its limit", run.tries)
-        # dask itself starts a run again as often as the scheduler allows
-        tries = run.tries + result.allowed_failures
-        if run.tries >= MOST_TRIES:
-            return run.failed(f"WorkerDied: worker died {tries} times during this run", tries)
-        self._again.append((run.point, tries + 1))
-        _log.warning("a worker died during %s: tried again", run.point)
-        return None
+            return run.failed("MemoryLimit: stopped as its process held more than its limit")
+        return run.failed(f"WorkerDied: worker died {result.allowed_failures + 1} times during this run")

@@ -217,7 +217,7 @@ def warm() -> None:
         am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)), am.FullMultigrid(), throw=False)
 
 
-def perform(function: RunFunction, uses_adaptmg: bool, point: Point, tries: int, begin: Callable[[], None]) -> Finished:
+def perform(function: RunFunction, uses_adaptmg: bool, point: Point, begin: Callable[[], None]) -> Finished:
     """Compute one run on a worker; ``begin`` is called when its clock starts."""
     import cloudpickle
 
@@ -230,7 +230,7 @@ def perform(function: RunFunction, uses_adaptmg: bool, point: Point, tries: int,
         sendable = error and cloudpickle.loads(cloudpickle.dumps(error.with_traceback(None)))
     except Exception:  # its text arrives in any case
         sendable = None
-    return replace(finished, exception=sendable, record=replace(finished.record, tries=tries))
+    return replace(finished, exception=sendable)
 
 
 def _cached_again(function: RunFunction, parameters: dict[str, int | bool]) -> RunFunction:

@@ -62,7 +62,6 @@ class Record:
     started: str = ""  # UTC, ISO 8601
     machine: str = ""
     commit: str = ""  # of adaptmg, where it lies in a git repository
-    tries: int = 1  # number of starts: more than one where workers died
 
 
 #: what is stored as JSON

@@ -227,7 +227,7 @@ class Study:
         """Return the runs in the store, without computing any: one row a run in the order of the design.
 
         Columns are parameters, results (its kind where one is kept apart), ``status`` ('done',
-        'failed', 'stale', 'missing'), ``seconds`` and ``error``; with ``details`` also tries, peak_memory (bytes),
+        'failed', 'stale', 'missing'), ``seconds`` and ``error``; with ``details`` also peak_memory (bytes),
         started, finished (UTC), machine, commit, traceback. ``attrs`` has the study's name and fixed parameters.
         """
         return self._table(self._fingerprint(), details)

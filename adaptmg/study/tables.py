@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Table = pd.DataFrame | Mapping[str, Sequence[object]]
 
 #: columns that :meth:`adaptmg.study.Study.table` adds as details
-DETAILS = ("tries", "peak_memory", "started", "finished", "machine", "commit", "traceback")
+DETAILS = ("peak_memory", "started", "finished", "machine", "commit", "traceback")
 
 
 def frame(names: Sequence[str], rows: Sequence[tuple[Mapping[str, Value], Record | None, str]],

@@ -92,8 +92,8 @@ def test_a_worker_that_dies_is_survived(cluster, tmp_path):
     study.run(progress=False, scheduler=cluster)
     table = study.table(details=True)
     assert table["status"].tolist() == ["done", "failed", "done", "done", "done"]
-    assert table["error"][1] == "WorkerDied: worker died 3 times during this run" and table["tries"][1] == 3
-    assert table["tries"][2] >= 2 and table["m"][2] == 2
+    assert table["error"][1] == "WorkerDied: worker died 2 times during this run"
+    assert table["m"][2] == 2 and len(os.listdir(marks)) == 1
 
 
 def test_runs_over_their_limits_are_stopped(cluster):
@@ -292,9 +292,9 @@ def test_a_run_that_ends_its_worker(address):
             os.kill(os.getpid(), signal.SIGKILL)
         return {"m": n}
 
-    # as often as dask itself starts it again, and then again alone
+    # as often as dask itself starts it again
     assert Study(run, {"n": range(4)}).run(progress=False, scheduler=address)["error"].tolist() == [
-        "", "WorkerDied: worker died 4 times during this run", "", ""]
+        "", "WorkerDied: worker died 2 times during this run", "", ""]
 
 
 def test_runs_that_are_given_up_do_not_go_on(address, tmp_path):
@@ -386,12 +386,10 @@ def _runs(client=None, limit_s=None, **out):
     return runs
 
 
-@pytest.mark.parametrize("since", [3.2, 60.0])
-def test_the_death_of_a_worker_is_not_a_time_limit(since):
+def test_the_death_of_a_worker_is_not_a_time_limit():
     """Whenever it is reported: only a run that this process stopped is over its limit."""
-    runs = _runs(limit_s=3.0, run=executor._Run({"n": 6}, 1, time.monotonic() - since, None))
-    assert runs._outcome("run", executor.KilledWorker("run", None, 0)) is None
-    assert list(runs._again) == [({"n": 6}, 2)]
+    runs = _runs(limit_s=3.0, run=executor._Run({"n": 6}, time.monotonic() - 60.0, None))
+    assert runs._outcome("run", executor.KilledWorker("run", None, 0)).record.error.startswith("WorkerDied")
 
 
 @pytest.mark.parametrize("local", [True, False])
@@ -417,14 +415,14 @@ def test_a_study_waits_for_a_queue_not_for_dead_processes(local, monkeypatch, ca
 def test_a_clock_stops_only_a_run_that_its_worker_computes(there):
     client = SimpleNamespace(processing=lambda: {"tcp://a": ("late",) if there else ()},
                              cancel=lambda *a, **k: None, run=lambda *a, **k: None)
-    run = executor._Run({"n": 6}, 1, 0.0, SimpleNamespace(done=lambda: False), worker="tcp://a", began=0.0)
+    run = executor._Run({"n": 6}, 0.0, SimpleNamespace(done=lambda: False), worker="tcp://a", began=0.0)
     runs = _runs(client, 1.0, late=run)
     runs._stop_late()
     assert runs._back.empty() is not there
 
 
-def test_a_run_whose_worker_held_too_much_is_not_tried_again():
-    runs = _runs(run=executor._Run({"n": 6}, 1, 0.0, None))
+def test_a_run_whose_worker_held_too_much_says_so():
+    runs = _runs(run=executor._Run({"n": 6}, 0.0, None))
     runs._large.add("tls://a")
     killed = executor.KilledWorker("run", SimpleNamespace(address="tls://a"), 0)
     assert runs._outcome("run", killed).record.error.startswith("MemoryLimit")
