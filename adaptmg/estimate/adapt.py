@@ -200,7 +200,7 @@ def _checked(problem: ContactProblem, start: Hierarchy, transfer: Transfer | Non
 def _of_size(problem: ContactProblem, start: Real | None, transfer: Transfer | None, engine: Engine, limits: Limits
              ) -> Hierarchy:
     """With a mesh of an element size, m, or of the default one; refused before Netgen works for minutes."""
-    from adaptmg.mesh.netgen_plane import NODES_PER_CELL
+    from adaptmg.mesh.sizes import NODES_PER_CELL
 
     size = None if start is None else checks.positive("start", start)
     need_domain(problem)

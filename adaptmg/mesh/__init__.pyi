@@ -2,12 +2,11 @@ from .arrays import MeshArrays as MeshArrays, to_ngsolve as to_ngsolve
 from .bisection import bisect as bisect, refine_near as refine_near
 from .onto_domain import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized
-from .netgen_solid import solid_mesh as solid_mesh
 from .read import as_mesh as as_mesh, from_file as from_file, from_ngsolve as from_ngsolve
 from .slits import split as split
 from .size_near import SizeNear as SizeNear
 from .soundness import (
     check_mesh as check_mesh, MeshQuality as MeshQuality, quality as quality, with_source as with_source
 )
-from .step_faces import step_table as step_table, touching as touching
+from .step import step_table as step_table, touching as touching
 from .structured import merged as merged, structured as structured

@@ -33,7 +33,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays, Refinement, element_facets, facet_keys, sound_by_construction, trusted
-from adaptmg.mesh.netgen_guard import MAX_NODES
+from adaptmg.mesh.sizes import MAX_NODES
 from adaptmg.mesh.soundness import check_mesh
 
 __all__ = ["bisect", "check_marked", "refine_near"]
@@ -248,15 +248,19 @@ def _sides(mesh: MeshArrays) -> np.ndarray:
 
 def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """The number of the pair of corners that is the longest edge of each cell."""
-    pairs = _PAIRS[cells.shape[1]]
-    low, high = np.sort(cells[:, pairs], axis=2).transpose(2, 1, 0)
-    # lengths are added up alike from both sides of a face
-    squares = sum(np.square(x[low] - x[high]) for x in points.T)
-    longest, every = np.zeros(len(cells), dtype=np.int64), np.arange(len(cells))
-    for k in range(1, len(pairs)):
-        square, a, b = squares[longest, every], low[longest, every], high[longest, every]
-        later = (high[k] > b) | ((high[k] == b) & (low[k] > a))
-        longest[(squares[k] > square) | ((squares[k] == square) & later)] = k
+    longest, best = np.zeros(len(cells), dtype=np.int64), None
+    for k, (i, j) in enumerate(_PAIRS[cells.shape[1]]):
+        low, high = np.minimum(cells[:, i], cells[:, j]), np.maximum(cells[:, i], cells[:, j])
+        # lengths are added up alike from both sides of a face
+        edge = [sum(np.square(x[low] - x[high]) for x in points.T), high, low]
+        if best is None:
+            best = edge
+            continue
+        longer = edge[2] > best[2]
+        for own, other in zip(edge[1::-1], best[1::-1], strict=True):
+            longer = (own > other) | ((own == other) & longer)
+        longest[longer] = k
+        best = [np.where(longer, own, other) for own, other in zip(edge, best, strict=True)]
     return longest
 
 

@@ -6,13 +6,10 @@ The size field of :func:`graded`, for a bulk size H, a contact ratio q and a gra
 
 Plane domains are triangulated here (:mod:`adaptmg.mesh.triangulate`). A box is cut into cells of the largest size of
 the field, which are refined to it and improved (:mod:`adaptmg.mesh.improve`). Netgen meshes the others, and these if it
-is asked to or triangulation fails. It fails itself, or takes minutes, where sizes differ by more than about 16 in a
-coarse mesh: sizes up to that ratio are asked from Netgen, and the rest is bisected, until no element and no boundary
-facet is larger than sqrt(2) times the field, by the edge of the equilateral one of the same volume. Bisection makes
-sizes jump by halves; :func:`sized` with more than two rounds lets Netgen go on by itself, eight times the ratio a
-round, which follows the field more closely and takes longer. Nodes that bisection puts on the chord of an arc are moved
-onto the arc. Meshes of different sizes are not nested. The bodies of an :class:`~adaptmg.problem.Assembly` are meshed
-apart.
+is asked to or triangulation fails (:mod:`adaptmg.mesh.netgen_meshes`). It fails itself, or takes minutes, where sizes
+differ by more than about 16 in a coarse mesh: the rest is bisected, until no element and no boundary facet is larger
+than sqrt(2) times the field. Meshes of different sizes are not nested. The bodies of an
+:class:`~adaptmg.problem.Assembly` or a STEP file are meshed apart.
 """
 
 from __future__ import annotations
@@ -25,28 +22,24 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, swept
-from adaptmg.mesh.bisection import refined, with_refinement
 from adaptmg.mesh.delaunay import Untriangulated
-from adaptmg.mesh.domains import boundary_measures, distance_to_boundaries, in_edges
 from adaptmg.mesh.improve import drafted
 from adaptmg.mesh.netgen_guard import netgen
-from adaptmg.mesh.netgen_plane import (
-    MAX_BISECTIONS,
+from adaptmg.mesh.netgen_meshes import SolidSizes, built_shape, finished, plane_mesh, solid_mesh
+from adaptmg.mesh.sizes import (
     SizeField,
+    boundary_measures,
+    distance_to_boundaries,
     expected_nodes,
-    finished,
     growth,
     guessed_nodes,
-    netgen_mesh,
+    in_edges,
     refuse_too_many,
     sizes_at,
     too_large,
-    unreachable,
 )
-from adaptmg.mesh.netgen_solid import built_shape, solid_mesh
-from adaptmg.mesh.onto_domain import onto_domain
 from adaptmg.mesh.soundness import check_mesh
-from adaptmg.mesh.step import SizeFunction, step_contents, step_mesh, step_shapes
+from adaptmg.mesh.step import step_solids
 from adaptmg.mesh.structured import body_centred, boundaries_of, merged, per_body
 from adaptmg.mesh.triangulate import triangulated
 from adaptmg.problem.combined_domains import Assembly
@@ -55,10 +48,8 @@ from adaptmg.problem.solid_domains import SolidDomain, StepFile
 
 _LOG = logging.getLogger(__name__)
 
-_NETGEN_RATIO = 16.0
-# by which sizes may fall further in each round after the second, and the factor to the field for Netgen then: its
-# triangles have about 1.2 times the edges they are asked for
-_FURTHER, _FACTOR = 8.0, 0.85
+SizeFunction = float | SizeField
+
 #: places along each side where the largest size in a box is looked for; how flat cells may be
 _LOOKS, _FLAT = 9, 1e3
 #: of the field, which elements may exceed by sqrt(2), and those of cells do alike: then by a quarter at most, and there
@@ -71,7 +62,7 @@ MESHERS = ("own", "netgen")
 
 def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries: str | Sequence[str] = (),
            contact_ratio: float | Mapping[str, float] = 1.0, grading: float | Mapping[str, float] = 0.3, *,
-           rounds: int = 1, mesher: str = "own") -> MeshArrays:
+           mesher: str = "own") -> MeshArrays:
     """Mesh a domain, finer near some boundaries.
 
     Parameters
@@ -87,8 +78,6 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
         concern bodies without contact boundaries.
     grading : float; of an assembly also a mapping of str to float
         Growth of the edge length per distance from contact, above 0 and at most 1.
-    rounds : int
-        How often Netgen meshes again by the size field (for ratios above 1; not of solids).
     mesher : {"own", "netgen"}
         What makes small elements. "own": in the plane a Delaunay triangulation of this package, which takes a fiftieth
         of Netgen's time; in space bisection of a coarse mesh (of Netgen, of boxes our own) and improvement of shapes,
@@ -115,28 +104,30 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     """
     domain = in_edges(domain)
     names = checks.items("contact_boundaries", contact_boundaries, str, "names of boundaries")
-    if isinstance(domain, StepFile):
-        return step_mesh(domain, size, _contact_sizes(size, names, contact_ratio), grading,
-                         mesher=checks.choice("mesher", mesher, MESHERS))
+    parts = parts_of(domain)
+    known = [f"{body}.{name}" for body, part in parts.items() for name in part.boundaries] or domain.boundaries
     for name in names:
-        if name not in domain.boundaries:
+        if name not in known:
             raise ValueError(f"contact_boundaries: boundary {name!r} does not exist; "
-                             f"the boundaries are {', '.join(dict.fromkeys(domain.boundaries))}")
-    if isinstance(domain, Assembly):
-        sizes, ratios, gradings = (per_body(what, value, domain.bodies) for what, value in (
+                             f"the boundaries are {', '.join(dict.fromkeys(known))}")
+    if parts:
+        sizes, ratios, gradings = (per_body(what, value, list(parts)) for what, value in (
             ("size", size), ("contact_ratio", contact_ratio), ("grading", grading)))
-        mine = {body: boundaries_of(body, names) for body in domain.bodies}
+        mine = {body: boundaries_of(body, names) for body in parts}
         if names and not isinstance(contact_ratio, Mapping):
             ratios = {body: ratio if mine[body] else 1.0 for body, ratio in ratios.items()}
-        return swept(merged({body: graded(part, sizes[body], mine[body], ratios[body], gradings[body], rounds=rounds,
-                                          mesher=mesher)
-                             for body, part in domain.parts.items()}))
-    size = checks.positive("size", size)
-    ratio = _ratio(contact_ratio)
+        return swept(merged({body: graded(part, sizes[body], mine[body], ratios[body], gradings[body], mesher=mesher)
+                             for body, part in parts.items()}))
+    size, ratio = checks.positive("size", size), _ratio(contact_ratio)
     if ratio > 1 and not names:
         raise ValueError(f"contact_ratio is {contact_ratio!r}, but contact_boundaries is empty")
-    return _graded_body(domain, size, names, ratio, growth(grading), checks.integer("rounds", rounds, 0),
+    return _graded_body(domain, size, names if ratio > 1 else (), size / ratio, growth(grading),
                         checks.choice("mesher", mesher, MESHERS))
+
+
+def parts_of(domain: Domain) -> Mapping[str, Domain]:
+    """Return the bodies of an assembly or of a STEP file by their names, none of another domain."""
+    return domain.parts if isinstance(domain, Assembly) else step_solids(domain) if isinstance(domain, StepFile) else {}
 
 
 def _ratio(value: float) -> float:
@@ -146,39 +137,22 @@ def _ratio(value: float) -> float:
     return ratio
 
 
-def _contact_sizes(size: float | Mapping[str, float], names: Sequence[str], ratio: float | Mapping[str, float]
-                   ) -> dict[str, float]:
-    """Edge length along each contact boundary "body.edge", where only the mesher knows the bodies."""
-    def of(what: str, value: float | Mapping[str, float], body: str) -> float:
-        if isinstance(value, Mapping) and body not in value:
-            raise ValueError(f"{what} names {', '.join(map(repr, value))}, but not the body {body!r} of a contact "
-                             "boundary")
-        return value[body] if isinstance(value, Mapping) else value
-
-    bodies = {name: name.split(".")[0] for name in names}
-    return {name: checks.positive("size", of("size", size, body)) / _ratio(of("contact_ratio", ratio, body))
-            for name, body in bodies.items()}
-
-
-def _graded_body(domain: Domain, size: float, names: tuple[str, ...], ratio: float, grading: float,
-                 rounds: int, mesher: str) -> MeshArrays:
-    """See :func:`graded`; one body, checked arguments."""
-    near = size / ratio
+def _graded_body(domain: Domain, size: float, names: tuple[str, ...], near: float, grading: float, mesher: str
+                 ) -> MeshArrays:
+    """See :func:`graded`; one body, checked arguments, and the size along the boundaries."""
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
-        return solid_mesh(domain, size, dict.fromkeys(names, near), grading, mesher=mesher)
+        return solid_mesh(domain, SolidSizes(size, names, near, grading), mesher)
+    volume, areas = boundary_measures(domain)
     # before Netgen works for minutes on a mesh that bisection would then find too large
-    refuse_too_many(guessed_nodes(domain, size, dict.fromkeys(names, near) if ratio > 1 else {}, grading), domain)
-    # the ratio asked from Netgen is the wanted one over a power of two: what bisection then makes up exactly
-    start = near * 2 ** max(0, math.ceil(math.log2(ratio / _NETGEN_RATIO)))
+    refuse_too_many(guessed_nodes(domain.dim, volume, size, sum(areas[name] for name in names), near, grading), domain)
 
-    def field(x: np.ndarray, contact_size: float = near) -> np.ndarray:
-        return (np.full(len(x), size) if ratio == 1 else
-                np.minimum(size, contact_size + grading * distance_to_boundaries(domain, names, x)))
+    def field(x: np.ndarray) -> np.ndarray:
+        return (np.minimum(size, near + grading * distance_to_boundaries(domain, names, x)) if names else
+                np.full(len(x), size))
 
     if mesher == "own" and (mesh := _own(domain, field)) is not None:
         return mesh
-    again, sides = (rounds, dict.fromkeys(names, start)) if ratio > 1 else (0, {})
-    return _bisected_to(netgen_mesh(domain, lambda x: field(x, start), size, sides, grading, again), field, domain)
+    return plane_mesh(domain, field, size, near, names, grading, 1 if names else 0)
 
 
 def _own(domain: Domain, field: SizeField, growth: float | None = None) -> MeshArrays | None:
@@ -200,7 +174,7 @@ def _cells(domain: Box, field: SizeField) -> MeshArrays:
     sizes = field(domain.lower + looks * sides)
     # near the largest size, and the least one times a power of two
     size = float(sizes.min()) * 2.0 ** np.rint(np.log2(sizes.max() / sizes.min()))
-    refuse_too_many(guessed_nodes(domain, size, {}, 1.0), domain)
+    refuse_too_many(guessed_nodes(3, float(np.prod(sides)), size), domain)
     # an equilateral tetrahedron has the volume of a twelfth of a cell; odd, so that no level is nested in the next
     counts = np.ceil(np.maximum(1, sides / (2 ** (1 / 6) * size) - 0.25)).astype(int)
     longest = np.argmax(sides)
@@ -213,8 +187,7 @@ def _cells(domain: Box, field: SizeField) -> MeshArrays:
 
 
 def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunction],
-          max_size: float | Mapping[str, float], rounds: int = 2, *, grading: float = 0.3,
-          mesher: str = "own") -> MeshArrays:
+          max_size: float | Mapping[str, float], *, grading: float = 0.3, mesher: str = "own") -> MeshArrays:
     """Mesh a domain by a size field.
 
     Parameters
@@ -226,10 +199,6 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
         centroids of elements: a dip much narrower than the elements around it can be missed.
     max_size : float; of an assembly also a mapping of str to float
         Largest edge length, m.
-    rounds : int
-        How often Netgen, where it is used, meshes again with the sizes at the centroids of the mesh before, >= 1; two
-        bring it near the field within sixteenths of ``max_size``, each further one eight times as deep, and one or two
-        more draw it close. Where it is still too coarse, elements are bisected.
 
     Returns
     -------
@@ -248,52 +217,29 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     True
     """
     domain = in_edges(domain)
-    if isinstance(domain, StepFile):
-        return step_mesh(domain, max_size, None, growth(grading), size_function,
-                         mesher=checks.choice("mesher", mesher, MESHERS))
-    if isinstance(domain, Assembly):
-        fields, limits = (per_body(what, value, domain.bodies)
+    if parts := parts_of(domain):
+        fields, limits = (per_body(what, value, list(parts))
                           for what, value in (("size_function", size_function), ("max_size", max_size)))
-        return swept(merged({body: sized(part, fields[body], limits[body], rounds, grading=grading, mesher=mesher)
-                             for body, part in domain.parts.items()}))
-    max_size = checks.positive("max_size", max_size)
-    rounds, mesher = checks.integer("rounds", rounds, 1), checks.choice("mesher", mesher, MESHERS)
+        return swept(merged({body: sized(part, fields[body], limits[body], grading=grading, mesher=mesher)
+                             for body, part in parts.items()}))
+    max_size, mesher = checks.positive("max_size", max_size), checks.choice("mesher", mesher, MESHERS)
     grading = growth(grading)
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
-        return solid_mesh(domain, max_size, None, grading, size_function, mesher=mesher)
+        return solid_mesh(domain, SolidSizes(max_size, grading=grading, function=size_function), mesher)
 
     def wanted(x: np.ndarray) -> np.ndarray:
         return np.minimum(sizes_at(size_function, x), max_size)
 
     if mesher == "own":
         if domain.dim == 2:
-            refuse_too_many(guessed_nodes(domain, max_size, {}, grading), domain)
+            refuse_too_many(guessed_nodes(2, domain.area, max_size), domain)
             # a look at the field shows whether it asks for too much
             look = max(max_size, float((domain.upper - domain.lower).max()) / 16)
             if (coarse := _own(domain, lambda x: np.full(len(x), look))) is not None:
                 refuse_too_many(expected_nodes(coarse, too_large(coarse, wanted)[1]), domain)
         if (mesh := _own(domain, wanted, grading)) is not None:
             return mesh
-
-    # Netgen alone sees a field that is cut off at the ratio it can take
-    def limited(factor: float, ratio: float) -> SizeField:
-        return lambda x: np.maximum(factor * wanted(x), max_size / ratio)
-
-    fields = limited(1.0, _NETGEN_RATIO) if rounds <= 2 else [
-        limited(_FACTOR, _NETGEN_RATIO * _FURTHER**max(0, k - 1)) for k in range(rounds)]
-    return _bisected_to(netgen_mesh(domain, fields, max_size, {}, grading, rounds), wanted, domain)
-
-
-def _bisected_to(mesh: MeshArrays, field: SizeField, domain: Domain) -> MeshArrays:
-    """Bisect until no element is too large for the field."""
-    mesh = finished(domain, mesh)
-    for _ in range(MAX_BISECTIONS):
-        large, sizes = too_large(mesh, field)
-        if not large.any():
-            return with_refinement(mesh, None)
-        refuse_too_many(expected_nodes(mesh, sizes), domain)
-        mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
-    raise unreachable(domain, large)
+    return plane_mesh(domain, wanted, max_size, None, (), grading, 2)
 
 
 def gradings_of(sizes: Sequence[float | Mapping[str, float]], coarsest: float) -> list[float | dict[str, float]]:
@@ -321,16 +267,13 @@ def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[flo
 def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
     """Return the area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of each boundary."""
     domain = in_edges(domain)
-    if isinstance(domain, Assembly):
-        found = {body: measures(part) for body, part in domain.parts.items()}
+    if parts := parts_of(domain):
+        found = {body: measures(part) for body, part in parts.items()}
         return ([volume for volumes, _ in found.values() for volume in volumes],
                 {f"{body}.{name}": length for body, (_, lengths) in found.items() for name, length in lengths.items()})
     if domain.dim == 2:
         area, lengths = boundary_measures(domain)
         return [area], lengths
     with netgen() as worker:
-        if isinstance(domain, StepFile):
-            shapes = [shape for _, shape in step_shapes(worker, domain, step_contents(worker, domain))]
-        else:
-            shapes = [built_shape(worker, domain)]
-    return [shape.volume * shape.scale**3 for shape in shapes], {}
+        shape = built_shape(worker, domain)
+    return [shape.volume * shape.scale**3], {}

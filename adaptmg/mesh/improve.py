@@ -39,7 +39,7 @@ from adaptmg._numba import inner_kernel, kernel
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, trusted
 from adaptmg.mesh.bisection import refined
 from adaptmg.mesh.delaunay import swap_all
-from adaptmg.mesh.netgen_plane import (
+from adaptmg.mesh.sizes import (
     MAX_BISECTIONS,
     NODES_PER_CELL,
     equilateral_sizes,

@@ -19,12 +19,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from adaptmg import _machine
-
-#: by dimension: what Netgen makes in about a quarter of an hour (0.2 ms a node in 2D, 0.7 ms in 3D)
-MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 #: by dimension, seconds: for the shape, and for each node (twenty times in 2D, five times in 3D what Netgen takes)
 LIMIT_S, _NODE_LIMIT_S = {2: 30.0, 3: 120.0}, {2: 4e-3, 3: 35e-3}
+#: seconds for a file, and for each byte of it: OCC takes a second a megabyte
+_FILE_S, _BYTE_S = 60.0, 2e-5
 
 _WORKER = Path(__file__).with_name("netgen_worker.py")
 # by the process that started them: after a fork the other one must not use them
@@ -39,9 +37,14 @@ class NetgenUnfinished(NetgenFails):
     """Netgen or OCC did not finish in time."""
 
 
-def meshing_limit(nodes: float, dim: int) -> float:
+def limit_s(nodes: float, dim: int) -> float:
     """Return the seconds that Netgen may take for about ``nodes`` nodes."""
     return LIMIT_S[dim] + _NODE_LIMIT_S[dim] * nodes
+
+
+def read_s(path: Path) -> float:
+    """Return the seconds that reading a file may take."""
+    return _FILE_S + _BYTE_S * path.stat().st_size
 
 
 class Netgen:
@@ -57,9 +60,8 @@ class Netgen:
         """Whether the process still runs."""
         return self.process.poll() is None
 
-    def __call__(self, function: str, *arguments: Any, seconds: float, memory: float | None = None) -> Any:
+    def __call__(self, function: str, *arguments: Any, seconds: float) -> Any:
         """Call a function of the worker; NetgenFails with its message, NetgenUnfinished after ``seconds``."""
-        memory = max(4e9, _machine.memory()) if memory is None else memory
         late = threading.Event()
 
         def stop() -> None:
@@ -70,7 +72,7 @@ class Netgen:
         timer.daemon = True
         timer.start()
         try:
-            pickle.dump((function, arguments, memory), self.process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+            pickle.dump((function, arguments), self.process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
             self.process.stdin.flush()
             well, answer = pickle.load(self.process.stdout)
         except (EOFError, OSError, pickle.UnpicklingError):

@@ -26,7 +26,7 @@ from netgen import occ
 from netgen.geom2d import SplineGeometry
 from netgen.occ import Dir, Face, OCCGeometry, Pnt, Solid, TopoDS_Shape, Vec, X, Y, Z
 
-from adaptmg._machine import limit_memory
+from adaptmg._machine import limit_memory, memory
 from adaptmg.problem.combined_domains import Combination, Common, Cracked, Cut
 from adaptmg.problem.plane_domains import Box, Outline
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, SolidDomain
@@ -58,7 +58,8 @@ class _Held:
 
     mesh: object = None
     shape: Solid = None
-    solids: Sequence[Solid] = ()
+    file: tuple[str, int] | None = None
+    step: tuple[OCCGeometry, Sequence[Solid]]
 
 
 def tables(mesh: netgen.meshing.Mesh, boundaries: Sequence[str] | None = None, bodies: Sequence[str] | None = None
@@ -193,17 +194,24 @@ def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> 
     return _hold(solid)
 
 
+def _step(path: str) -> tuple[OCCGeometry, Sequence[Solid]]:
+    """The geometry of a STEP file and its solids, read once as long as it does not change."""
+    key = (path, os.stat(path).st_mtime_ns)
+    if _Held.file != key:
+        geometry = OCCGeometry(path)
+        _Held.step, _Held.file = (geometry, list(geometry.solids)), key
+    return _Held.step
+
+
 def read_step(path: str) -> list[tuple[str, str, list[str]]]:
     """Return of each solid of a STEP file the name of its product, its own name and those of its faces, "" where there
     is none. A product of several solids names none of them."""
-    geometry = OCCGeometry(path)
-    _Held.solids = list(geometry.solids)
+    geometry, solids = _step(path)
     products: dict[Solid, str] = {}
     tree = geometry.GetAssemblyTree()
     if tree is not None:
         _name_products(tree, "", _uses(Path(path).read_text("latin-1")), products)
-    return [(products.get(solid, ""), solid.name or "", [face.name or "" for face in solid.faces])
-            for solid in _Held.solids]
+    return [(products.get(solid, ""), solid.name or "", [face.name or "" for face in solid.faces]) for solid in solids]
 
 
 def _name_products(node: occ.OCCAssemblyNode, label: str, uses: dict[str, list[tuple[str, str]]],
@@ -237,11 +245,6 @@ def _uses(text: str) -> dict[str, list[tuple[str, str]]]:
     return result
 
 
-def choose_solids(numbers: Sequence[int]) -> None:
-    """Keep some solids of the last STEP file."""
-    _Held.solids = [_Held.solids[number] for number in numbers]
-
-
 def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return points, outward triangles and the face of each, of a surface mesh of the shape of the last request."""
     mesh = OCCGeometry(_Held.shape).GenerateMesh(maxh=size, perfstepsend=netgen.meshing.MeshingStep.MESHSURFACE)
@@ -250,15 +253,15 @@ def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             found["index"].astype(np.int64) - 1)
 
 
-def face_distances(number: int, face: int, points: np.ndarray) -> np.ndarray:
-    """Return the distances of points from a face of a solid of the last STEP file."""
-    shape = list(_Held.solids[number].faces)[face]
+def face_distances(path: str, number: int, face: int, points: np.ndarray) -> np.ndarray:
+    """Return the distances of points from a face of a solid of a STEP file."""
+    shape = list(_step(path)[1][number].faces)[face]
     return np.array([occ.Vertex(Pnt(*point)).Distance(shape) for point in points.tolist()])
 
 
-def step_shape(number: int) -> tuple[ShapeTables, np.ndarray, float]:
-    """Return the tables of a solid of the last STEP file at unit size, and its origin and its unit in the file."""
-    solid = _Held.solids[number]
+def step_shape(path: str, number: int) -> tuple[ShapeTables, np.ndarray, float]:
+    """Return the tables of a solid of a STEP file at unit size, and its origin and its unit in the file."""
+    solid = _step(path)[1][number]
     lower, upper = (np.array(_place(p)) for p in solid.bounding_box)
     scale = float((upper - lower).max())
     if not (np.isfinite([*lower, *upper]).all() and scale > 0 and math.isfinite(solid.mass) and solid.mass > 0):
@@ -451,9 +454,9 @@ def _serve() -> None:
             os._exit(0)
 
     threading.Thread(target=listen, daemon=True).start()
+    limit_memory(max(4e9, memory()))
     while True:
-        name, arguments, memory = requests.get()
-        limit_memory(memory)
+        name, arguments = requests.get()
         try:
             answer: tuple[bool, object] = (True, globals()[name](*arguments))
         except (ValueError, netgen.meshing.NgException, RuntimeError) as error:

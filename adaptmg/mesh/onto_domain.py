@@ -20,7 +20,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, Surface, signed_measures, sound_by_construction
 from adaptmg.mesh.bisection import with_refinement
-from adaptmg.mesh.domains import in_edges
+from adaptmg.mesh.sizes import in_edges
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import Domain, Outline

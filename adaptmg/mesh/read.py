@@ -22,7 +22,7 @@ from adaptmg._text import printable, shortened
 from adaptmg.mesh.arrays import MeshArrays, normalised
 from adaptmg.mesh.contents import Contents, mesh_of
 from adaptmg.mesh.deck import read_deck
-from adaptmg.mesh.netgen_guard import NetgenFails, netgen
+from adaptmg.mesh.netgen_guard import NetgenFails, netgen, read_s
 from adaptmg.mesh.soundness import check_mesh, check_stranger
 
 if TYPE_CHECKING:
@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 
 # Netgen's types of triangles and tetrahedra of second order
 _CURVED = (12, 21)
-# what a reader may take for each byte of a file
-_START_S, _S_PER_BYTE = 60.0, 1e-5
-_START_BYTES, _BYTES_PER_BYTE = 3e9, 100
+# what a reader takes for each byte of a file
+_BYTES_PER_BYTE = 100
 
 
 def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
@@ -143,10 +142,8 @@ def _file(name: str, path: str | Path) -> Path:
 
 def _read(function: str, path: Path) -> Any:
     """What a reader of the other process makes of a file."""
-    size = path.stat().st_size
     with netgen() as worker:
-        return worker(function, str(path.absolute()), seconds=_START_S + _S_PER_BYTE * size,
-                      memory=_START_BYTES + _BYTES_PER_BYTE * size)
+        return worker(function, str(path.absolute()), seconds=read_s(path))
 
 
 def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None, split_bodies: bool = False,

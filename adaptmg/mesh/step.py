@@ -1,77 +1,55 @@
-"""STEP files of one or several solids, each meshed apart by Netgen; names of solids and faces are kept.
+"""STEP files: their solids as bodies with the names of the file; step_table, touching: what they are like, and touch.
 
 The solids share no nodes, even where their faces coincide: contact pairs join them. OCC turns every unit of length a
-file may use into millimetres, and reads the file in the process of :mod:`adaptmg.mesh.netgen_guard`.
+file may use into millimetres. Names of faces in a file from a CAD program say little; their places, sizes and radii
+find them. The outward normal of a plane face comes from a surface mesh of Netgen; OCC gives areas and centres, and the
+distance of a point from a face.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, product
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._files import file_size
-from adaptmg.mesh.arrays import MeshArrays, swept
-from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen
-from adaptmg.mesh.netgen_solid import Shape, SolidSizes, shape_mesh
-from adaptmg.mesh.soundness import check_mesh
-from adaptmg.mesh.structured import boundaries_of, merged, per_body
+from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen, read_s
+from adaptmg.mesh.netgen_meshes import Shape, StepSolid, built_shape
+from adaptmg.mesh.surfaces import candidates
 from adaptmg.problem.solid_domains import StepFile
+from adaptmg.problem.surfaces import ContactPair
 
-Sizes = float | Mapping[str, float]
-SizeFunction = float | Callable[[np.ndarray], np.ndarray]
-# reading takes about a second a megabyte; twenty times that is the limit
-_START_S, _S_PER_BYTE, _BYTES_PER_BYTE = 60.0, 2e-5, 50
+if TYPE_CHECKING:
+    import pandas
+
+_BYTES_PER_BYTE = 50
 # of products without a name, as OCC writes them
 _NO_PRODUCT = "Open CASCADE STEP translator"
-# nodes on round faces, whose number is not known: for the time limit
-_CURVED = 1e4
+#: edges of the surface meshes by which faces are compared, of the extent of a solid
+_EDGE = 0.125
+#: cosine between outward normals of faces that lie on each other
+_OPPOSITE = -0.5
+#: seconds that a surface or the distances from a face may take, of which .01 to 1 are usual
+_LIMIT_S = 20.0
+#: of the extent of all solids
+_TOLERANCE = 1e-5
 
 
-def step_mesh(domain: StepFile, size: Sizes, boundary_sizes: Mapping[str, float] | None = None, grading: Sizes = 0.3,
-              size_function: SizeFunction | Mapping[str, SizeFunction] | None = None, *, curvature: float = 2.0,
-              mesher: str = "own") -> MeshArrays:
-    """Mesh the solids of a STEP file with straight tetrahedra, each solid apart."""
-    if not isinstance(domain, StepFile):
-        raise TypeError(f"domain must be a StepFile, got {domain!r}")
-    with netgen() as worker:
-        contents = step_contents(worker, domain)
-        known = [f"{body}.{face}" for body, faces in contents.items() for face in faces]
-        for name in boundary_sizes or {}:
-            if name not in known:
-                raise ValueError(f"boundary_sizes: boundary {name!r} does not exist; the boundaries are "
-                                 f"{', '.join(dict.fromkeys(known))}")
-        largest, meshes = per_body("size", size, list(contents)), {}
-        functions = per_body("size_function", size_function, list(contents))
-        gradings = per_body("grading", grading, list(contents))
-        for body, shape in step_shapes(worker, domain, contents):
-            own = {face: boundary_sizes[f"{body}.{face}"] for face in boundaries_of(body, list(boundary_sizes or {}))}
-            sizes = SolidSizes(largest[body], own, gradings[body], functions[body], curvature)
-            meshes[body] = check_mesh(shape_mesh(worker, shape, sizes, domain, _CURVED, mesher))
-    return swept(merged(meshes))
-
-
-def step_shapes(worker: Netgen, domain: StepFile, contents: Mapping[str, tuple[str, ...]]
-                ) -> Iterator[tuple[str, Shape]]:
-    """Yield the name and the shape of each solid in turn: the process holds one of them at a time."""
-    for k, (body, faces) in enumerate(contents.items()):
-        try:
-            (_, *tables), lower, scale = worker("step_shape", k, seconds=_START_S)
-        except NetgenFails as error:
-            raise ValueError(f"{str(domain.path)!r} cannot be read as a STEP file: {error}") from error
-        yield body, Shape(list(faces), *tables, domain.unit * lower, domain.unit * scale)
-
-
-def step_contents(worker: Netgen, domain: StepFile) -> dict[str, tuple[str, ...]]:
-    """Return the names of the faces of a file by those of its solids, which the process holds then."""
+def step_solids(domain: StepFile) -> dict[str, StepSolid]:
+    """Return the chosen solids of a file by their names."""
     path = domain.path
-    size = file_size("path", path)
+    checks.fits("path", _BYTES_PER_BYTE * file_size("path", path), f"reading {str(path)!r}")
     if path.suffix.lower() not in (".step", ".stp"):
         raise ValueError(f"path: {str(path)!r} is not a .step or .stp file")
-    checks.fits("path", _BYTES_PER_BYTE * size, f"reading {str(path)!r}")
     try:
-        solids = worker("read_step", str(path.absolute()), seconds=_START_S + _S_PER_BYTE * size)
+        with netgen() as worker:
+            solids = worker("read_step", str(path.absolute()), seconds=read_s(path))
     except NetgenFails as error:
         raise ValueError(f"{str(path)!r} cannot be read as a STEP file: {error}") from error
     if not solids:
@@ -83,12 +61,9 @@ def step_contents(worker: Netgen, domain: StepFile) -> dict[str, tuple[str, ...]
     for name in (*named, *(name for own in faces for name in own)):
         checks.boundary_name(f"a name in {str(path)!r}", name)
     contents = _renamed(domain, _distinct(named), faces)
-    if domain.solids is None:
-        return contents
-    chosen = _chosen(domain, named, list(contents))
-    worker("choose_solids", chosen, seconds=_START_S)
+    chosen = range(len(named)) if domain.solids is None else _chosen(domain, named, list(contents))
     bodies = list(contents.items())
-    return dict(bodies[k] for k in chosen)
+    return {bodies[k][0]: StepSolid(domain, k, bodies[k][1]) for k in chosen}
 
 
 def _plain(name: str) -> str:
@@ -144,3 +119,179 @@ def _renamed(domain: StepFile, bodies: list[str], faces: list[list[str]]) -> dic
         raise ValueError(f"names: {', '.join(map(repr, sorted(unused)))} is neither a solid nor a 'solid.face' of "
                          f"{str(domain.path)!r}; it holds {listed}")
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Face:
+    """A face, m: triangles (n, 3, 3) that are oriented outwards, none where Netgen cannot mesh it."""
+
+    number: int
+    name: str
+    kind: str
+    area: float
+    centre: np.ndarray
+    radius: float
+    triangles: np.ndarray
+
+    @cached_property
+    def box(self) -> np.ndarray:
+        """Corners (2, 3) of the bounding box of the triangles."""
+        return np.array([self.triangles.min(axis=(0, 1)), self.triangles.max(axis=(0, 1))])
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Area vectors (n, 3) of the triangles."""
+        a, b, c = np.moveaxis(self.triangles, 1, 0)
+        return 0.5 * np.cross(b - a, c - a)
+
+
+def step_table(path: str | Path | StepFile) -> pandas.DataFrame:
+    """List the solids and faces of a STEP file, so that "the upper face of the nut" is found.
+
+    Parameters
+    ----------
+    path : str, Path or StepFile
+        A StepFile may rename them and choose solids.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a solid (its ``face`` is "") and one a face: ``solid``, ``face``, ``kind`` ("solid", "plane",
+        "cylinder", "sphere", "cone or torus", "other"), centre ``x, y, z``, size of the bounding box ``dx, dy, dz`` (of
+        chords on round faces), ``area``, ``volume``, outward normal ``nx, ny, nz`` of plane faces, ``radius`` of
+        cylinders and spheres; m, m^2, m^3. What a row does not have is NaN.
+
+    Raises
+    ------
+    FileNotFoundError, TypeError, ValueError
+        As :class:`adaptmg.StepFile`; if the file cannot be read.
+
+    Examples
+    --------
+    >>> faces = am.mesh.step_table("assembly.step")                    # doctest: +SKIP
+    >>> faces[(faces.solid == "nut") & (faces.nz > 0.99)]              # doctest: +SKIP
+    """
+    import pandas
+
+    rows = []
+    solids = step_solids(_domain(path))
+    with netgen() as worker:
+        for body, shape, faces in _faces_of(worker, solids):
+            box = shape.lower + shape.scale * shape.corners
+            rows.append([body, "", "solid", *box.mean(axis=0), *np.ptp(box, axis=0), sum(face.area for face in faces),
+                         shape.volume * shape.scale**3, *[np.nan] * 4])
+            for face in faces:
+                places = face.triangles.reshape(-1, 3)
+                total = face.normals.sum(axis=0)
+                plane = face.kind == "plane" and len(places)
+                rows.append([body, face.name, face.kind, *face.centre,
+                             *(np.ptp(places, axis=0) if len(places) else [np.nan] * 3), face.area, np.nan,
+                             *(total / np.linalg.norm(total) + 0.0 if plane else [np.nan] * 3), face.radius])
+    return pandas.DataFrame(rows, columns=["solid", "face", "kind", "x", "y", "z", "dx", "dy", "dz", "area", "volume",
+                                           "nx", "ny", "nz", "radius"])
+
+
+def touching(path: str | Path | StepFile, tolerance: float | None = None) -> tuple[ContactPair, ...]:
+    """Find the faces of different solids that lie on each other.
+
+    Parameters
+    ----------
+    path : str, Path or StepFile
+        A StepFile may rename solids and faces and choose solids.
+    tolerance : float, optional
+        Largest distance, m; default 1e-5 of the extent of all solids. Clearances need the size of the clearance.
+
+    Returns
+    -------
+    tuple of ContactPair
+        One for each pair of names "solid.face"; the smaller face is the slave. A part where faces overlap that is much
+        smaller than an eighth of both solids may be missed.
+
+    Raises
+    ------
+    FileNotFoundError, TypeError, ValueError
+        As :class:`adaptmg.StepFile`; if the file cannot be read, or Netgen cannot mesh the surface of a solid.
+
+    Examples
+    --------
+    >>> pairs = am.mesh.touching("assembly.step", tolerance=5e-5)      # doctest: +SKIP
+    >>> problem = am.ContactProblem(domain=am.StepFile("assembly.step"), contact=pairs, ...)    # doctest: +SKIP
+    """
+    domain = _domain(path)
+    tolerance = None if tolerance is None else checks.positive("tolerance", tolerance)
+    solids = step_solids(domain)
+    with netgen() as worker:
+        faces_of = {body: faces for body, _, faces in _faces_of(worker, solids)}
+        for body, faces in faces_of.items():
+            if not all(len(face.triangles) for face in faces):
+                raise ValueError(f"Netgen cannot mesh the surface of solid {body!r} of {str(domain.path)!r}")
+        corners = np.array([face.box for faces in faces_of.values() for face in faces])
+        reach = tolerance or _TOLERANCE * float(np.ptp(corners, axis=(0, 1)).max())
+        pairs: dict[tuple[str, str], ContactPair] = {}
+        for one, other in combinations(solids, 2):
+            for a, b in product(faces_of[one], faces_of[other]):
+                # chords of round faces stay behind them
+                slack = reach + 0.05 * min(np.ptp(a.box, axis=0).max(), np.ptp(b.box, axis=0).max())
+                if (a.box[0] > b.box[1] + slack).any() or (b.box[0] > a.box[1] + slack).any():
+                    continue
+                if _on(worker, a, b, solids[other], reach) or _on(worker, b, a, solids[one], reach):
+                    names = [f"{one}.{a.name}", f"{other}.{b.name}"]
+                    slave, master = names if a.area <= b.area else names[::-1]
+                    pairs.setdefault((slave, master), ContactPair(slave, master))
+    return tuple(pairs.values())
+
+
+def _domain(path: str | Path | StepFile) -> StepFile:
+    return path if isinstance(path, StepFile) else StepFile(path)
+
+
+def _faces_of(worker: Netgen, solids: Mapping[str, StepSolid]) -> Iterator[tuple[str, Shape, list[_Face]]]:
+    """The name of each solid in turn, its shape and faces."""
+    for body, solid in solids.items():
+        shape = built_shape(worker, solid)
+        size = _EDGE * float(np.ptp(shape.corners, axis=0).max())
+        points, triangles, owner = np.empty((0, 3)), np.empty((0, 3), dtype=int), np.empty(0, dtype=int)
+        try:
+            points, triangles, owner = worker("step_surface", size, seconds=_LIMIT_S)
+        except NetgenFails as error:
+            if not worker.alive:
+                raise ValueError(f"{str(solid.file.path)!r}: the surface of {body!r} cannot be meshed: {error}"
+                                 ) from error
+        places = shape.lower + shape.scale * points[triangles].reshape(-1, 3, 3)
+        yield body, shape, [_face(shape, k, name, places[owner == k]) for k, name in enumerate(solid.faces)]
+
+
+def _face(shape: Shape, number: int, name: str, triangles: np.ndarray) -> _Face:
+    kind, radius = "other", np.nan
+    if found := candidates(shape.samples[number:number + 1]):
+        surface = found[0][0]
+        kind = "cone or torus"
+        if surface.straight and not surface.profile[0]:
+            kind = "plane"
+        elif surface.straight and not surface.profile[1]:
+            kind, radius = "cylinder", surface.extent * shape.scale
+        elif not surface.straight and not surface.profile.any():
+            kind, radius = "sphere", surface.extent * shape.scale
+    return _Face(number, name, kind, shape.areas[number] * shape.scale**2,
+                 shape.lower + shape.scale * shape.centres[number], radius, triangles)
+
+
+def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: float) -> bool:
+    """Whether a triangle of a face lies on another face, of a solid, which looks the other way there."""
+    from scipy.spatial import cKDTree  # a first solve without it starts sooner
+
+    # corners lie on round faces, centroids of their triangles do not; plane faces may have all corners on their rims
+    places = face.triangles.mean(axis=1)[:, None] if face.kind == "plane" else face.triangles
+    path, unit = solid.file.path, solid.file.unit
+    try:
+        near = worker("face_distances", str(path.absolute()), solid.number, other.number, places.reshape(-1, 3) / unit,
+                      seconds=_LIMIT_S)
+    except NetgenFails as error:
+        raise ValueError(f"{str(path)!r}: OCC cannot tell how far {other.name!r} is: {error}") from error
+    close = np.flatnonzero((near.reshape(len(places), -1) * unit <= reach).all(axis=1))
+    if not len(close):
+        return False
+    nearest = cKDTree(other.triangles.mean(axis=1)).query(face.triangles[close].mean(axis=1))[1]
+    own, its = face.normals[close], other.normals[nearest]
+    cosine = (own * its).sum(axis=1) / (np.linalg.norm(own, axis=1) * np.linalg.norm(its, axis=1))
+    return bool((cosine < _OPPOSITE).any())

@@ -24,7 +24,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._text import warn_user
 from adaptmg.mesh.arrays import MOST_NODES, MeshArrays, facet_table, normalised, sound_by_construction
-from adaptmg.mesh.domains import BOX_SIDES
+from adaptmg.mesh.sizes import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import Box, Domain, Rectangle

@@ -24,7 +24,7 @@ from adaptmg.geometry.predicates import turn
 from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.delaunay import BATCH, Untriangulated, insert, of_boundary, walk
 from adaptmg.mesh.improve import improve_triangles
-from adaptmg.mesh.netgen_plane import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
+from adaptmg.mesh.sizes import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
 from adaptmg.mesh.slits import opened
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.plane_edges import Arc

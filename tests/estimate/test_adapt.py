@@ -170,7 +170,7 @@ def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
         with pytest.raises(ValueError, match=f"max_nodes must be at least {message}"):
             am.adapt(problem, start, engine=engine, max_nodes=most)
     assert next(am.adapt(problem, mesh, engine=engine, max_nodes=100)).nodes == 100
-    for module in ("mesh.grading.netgen_mesh", "estimate.engines.lattices"):
+    for module in ("mesh.grading.plane_mesh", "estimate.engines.lattices"):
         monkeypatch.setattr(f"adaptmg.{module}", lambda *a, **o: pytest.fail("meshed"))
     for start in (1e-4, 1e-200):
         with pytest.raises(ValueError, match=r"start must be at least 0\.00096 m for max_nodes=2000, got"):

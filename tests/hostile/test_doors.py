@@ -14,7 +14,7 @@ from adaptmg import mesh as meshes
 
 SQUARE = am.Polygon(vertices=((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), boundaries=tuple("abcd"))
 BALL, PLANE = am.Ball((0.0, 0.0, 0.0), 1.0), am.Plane((0.0, 0.0), (0.0, 1.0))
-UNIT, CUBE = am.Rectangle(width=1, height=1), am.Box(width=1, depth=1, height=1)
+UNIT = am.Rectangle(width=1, height=1)
 ELASTIC = {"young": 1e9, "poisson": 0.3}
 NAN, TEXT, OTHER = float("nan"), "\udc80", object()
 #: wrong values by the type of a right one: its class, another object, and what a careless check lets pass
@@ -123,8 +123,7 @@ DOORS = {
     contact: {"allow_interference": False, "names": ("a",), "masters": ("b",)},
     meshes.structured: {"domain": UNIT, "divisions": 2, "diagonal": "right"},
     meshes.graded: {"domain": UNIT, "size": 0.5, "contact_boundaries": "top", "contact_ratio": 1.0, "grading": 0.3},
-    meshes.sized: {"domain": UNIT, "size_function": 0.5, "max_size": 0.5}, meshes.solid_mesh: {"size": 0.5,
-                                                                                               "domain": CUBE},
+    meshes.sized: {"domain": UNIT, "size_function": 0.5, "max_size": 0.5},
     meshes.as_mesh: {"mesh": mesh}, meshes.check_mesh: {"mesh": mesh}, meshes.merged: {"meshes": lambda: {"a": mesh()}},
     meshes.bisect: {"mesh": mesh, "marked": mask, "passes": 2},
     meshes.refine_near: {"mesh": mesh, "boundaries": "top", "levels": 2},

@@ -167,7 +167,7 @@ def refined_onto(domain, mesh, passes=2, part=1.0):
 
 def off_arcs(domain, mesh):
     """The largest distance of a boundary node to the edges that have its name."""
-    from adaptmg.mesh.domains import distance_to_boundaries
+    from adaptmg.mesh.sizes import distance_to_boundaries
     return max(distance_to_boundaries(domain, [name], mesh.points[mesh.boundary_nodes(name)]).max()
                for name in mesh.boundaries)
 

@@ -13,7 +13,7 @@ from refused import refused
 import adaptmg as am
 from adaptmg.mesh import MeshArrays, SizeNear, check_mesh, graded, merged, quality, sized, structured
 from adaptmg.mesh.arrays import swept
-from adaptmg.mesh.domains import distance_to_boundaries
+from adaptmg.mesh.sizes import distance_to_boundaries
 from adaptmg.problem import Assembly, Box, Outline, Rectangle
 
 UPPER = Rectangle(width=1.0, height=0.5)
@@ -125,7 +125,7 @@ class TestSizedAssembly:
         assert mesh.n_nodes < 4000 and quality(mesh).min_angle > 15 and quality(mesh).h_max > 0.7e-3
 
     def test_sizes_by_body(self):
-        mesh = sized(TWO, {"upper": 0.1, "lower": lambda x: 0.2 + 0 * x[:, 0]}, {"upper": 1.0, "lower": 2.0}, rounds=1)
+        mesh = sized(TWO, {"upper": 0.1, "lower": lambda x: 0.2 + 0 * x[:, 0]}, {"upper": 1.0, "lower": 2.0})
         fine, coarse = (np.median(mesh.element_sizes[mesh.element_body == i]) for i in (0, 1))
         assert 0.07 < fine < 0.15 < coarse < 0.3
 

@@ -9,8 +9,7 @@ from scipy.spatial import cKDTree
 
 import adaptmg as am
 from adaptmg.mesh import check_mesh, graded, grading, quality, sized
-from adaptmg.mesh.domains import distance_to_boundaries
-from adaptmg.mesh.netgen_plane import equilateral_sizes
+from adaptmg.mesh.sizes import distance_to_boundaries, equilateral_sizes
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
 
 SQUARE = Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))
@@ -43,7 +42,7 @@ RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("foot", "o
                                                                   (RING, "inner", 0.015, 4), (BOX, "bottom", 3e-3, 2)],
                          ids=["square", "angle", "ring", "box"])
 def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio, monkeypatch):
-    monkeypatch.setattr(grading, "netgen_mesh", lambda *_: pytest.fail("Netgen was asked"))
+    monkeypatch.setattr(grading, "plane_mesh", lambda *_: pytest.fail("Netgen was asked"))
     fine, coarse = (graded(domain, h, contact, ratio) for h in (size, 2 * size))
     # whoever checked it: the arrays are sound
     check_mesh(replace(fine, source=None), dict.fromkeys(domain.boundaries))

@@ -22,7 +22,7 @@ def stub(monkeypatch, tmp_path):
         path = tmp_path / "worker.py"
         path.write_text("import pickle, sys, time, os\n"
                         "while True:\n"
-                        "    name, arguments, memory = pickle.load(sys.stdin.buffer)\n"
+                        "    name, arguments = pickle.load(sys.stdin.buffer)\n"
                         f"    {code}\n"
                         "    pickle.dump((True, name), sys.stdout.buffer); sys.stdout.flush()\n")
         monkeypatch.setattr(netgen_guard, "_WORKER", path)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from bisected_meshes import edge_lengths
 
-import adaptmg.mesh.netgen_solid as module
-from adaptmg.mesh import check_mesh, graded, quality
+import adaptmg.mesh.netgen_meshes as module
+from adaptmg.mesh import check_mesh, graded, quality, sized
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
-from adaptmg.mesh.netgen_solid import built_shape, check_volume, solid_mesh
+from adaptmg.mesh.netgen_meshes import built_shape, check_volume
 from adaptmg.mesh.soundness import check_overlap
 from adaptmg.mesh.surfaces import surface_through
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
@@ -80,7 +80,7 @@ def test_shapes_have_their_volume_names_and_bounding_box(key):
 
 def test_a_ball_refined_at_its_lowest_point():
     near = 1e-3
-    mesh = solid_mesh(OCTANT, 0.25, size_function=lambda x: near + 0.3 * np.linalg.norm(x, axis=1))
+    mesh = sized(OCTANT, lambda x: near + 0.3 * np.linalg.norm(x, axis=1), 0.25)
     surface = mesh.points[mesh.boundary_nodes("surface")]
     # also the nodes that bisection made lie on the sphere and in the planes of symmetry
     np.testing.assert_allclose(np.linalg.norm(surface - (0, 0, 1), axis=1), 1, rtol=1e-13)
@@ -98,7 +98,7 @@ def test_a_ball_refined_at_its_lowest_point():
 def test_sizes_along_boundaries_are_achieved(ratio):
     # beyond a ratio of 16 Netgen's mesh is bisected
     punch = Fuse(UNIT, Cylinder((0.5, 0.5, 1), (0, 0, 1), 0.1, 0.3), rename={"b.side": "shank", "b.top": "tip"})
-    mesh = solid_mesh(punch, 0.5, {"tip": 0.5 / ratio}, 0.5)
+    mesh = graded(punch, 0.5, "tip", ratio, 0.5)
     at_tip = edge_lengths(mesh, "tip") * ratio / 0.5
     assert at_tip.max() < 2.5 and 0.6 < np.median(at_tip) < 1.4
     assert np.median(edge_lengths(mesh, "bottom")) > 0.3
@@ -125,8 +125,8 @@ def from_fillet(x):
     (FILLET, 0.05, "flat", {"fillet": from_fillet, "flat": lambda x: np.abs(x[:, 2] - 0.2)}),
 ], ids=["cylinder", "octant", "fillet"])
 def test_a_draft_is_refined_to_the_sizes_on_the_faces(solid, size, contact, gap, monkeypatch):
-    drafts, original = [], module._netgen_mesh
-    monkeypatch.setattr(module, "_netgen_mesh", lambda *given: drafts.append(original(*given)) or drafts[-1])
+    drafts, original = [], module._solid_draft
+    monkeypatch.setattr(module, "_solid_draft", lambda *given: drafts.append(original(*given)) or drafts[-1])
     mesh = graded(solid, size, contact, 1.5)
     assert drafts[-1].n_nodes < mesh.n_nodes / 3
     check_overlap(check_mesh(replace(mesh, source=None)))
@@ -196,7 +196,7 @@ def test_a_draft_whose_nodes_do_not_reach_the_faces_gives_way(monkeypatch, caplo
 
 
 def test_netgen_is_given_a_second_chance(monkeypatch):
-    original, seen = module._netgen_mesh, []
+    original, seen = module._solid_draft, []
 
     def fails_first(worker, shape, sizes, *others):
         seen.append(sizes.grading)
@@ -204,18 +204,18 @@ def test_netgen_is_given_a_second_chance(monkeypatch):
             raise NetgenFails("Meshing failed!")
         return original(worker, shape, sizes, *others)
 
-    monkeypatch.setattr(module, "_netgen_mesh", fails_first)
+    monkeypatch.setattr(module, "_solid_draft", fails_first)
     fails = 3
-    assert solid_mesh(OCTANT, 0.5, grading=0.5).n_nodes > 10
+    assert graded(OCTANT, 0.5, grading=0.5).n_nodes > 10
     np.testing.assert_allclose(seen, [0.5, 0.35, 0.25])
     fails = 9
     with pytest.raises(ValueError, match=r"could not mesh Common.*Meshing failed!.*smaller grading"):
-        solid_mesh(OCTANT, 0.5)
+        graded(OCTANT, 0.5)
 
 
 def test_the_volume_check_can_fail():
     shape = shape_of(OCTANT)
-    mesh = solid_mesh(OCTANT, 0.5 * shape.scale)
+    mesh = graded(OCTANT, 0.5 * shape.scale)
     unit = type(mesh)(mesh.points / shape.scale, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries)
     bound = module._left_by_chords(unit)
     # far from failing even on the coarsest mesh, and not without a limit
@@ -230,7 +230,7 @@ def test_scaling_changes_nothing_and_meshes_repeat():
     def pin(s):
         return Cut(Cylinder((s, 0, 0), (0, 0, 1), s, s), Ball((s, 0, s), 0.5 * s), rename={"surface": "seat"})
 
-    first, again, large = (solid_mesh(pin(s), 0.5 * s, {"seat": 0.25 * s}) for s in (1.0, 1.0, 4096.0))
+    first, again, large = (graded(pin(s), 0.5 * s, "seat", 2) for s in (1.0, 1.0, 4096.0))
     for name in ("points", "elements", "facets", "facet_labels"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     np.testing.assert_array_equal(first.elements, large.elements)
@@ -244,7 +244,7 @@ def test_renaming():
     assert both.boundaries == ("bottom", "right", "lid", "left", "front", "back", "side")
     one = Cut(UNIT, hole, rename={"top": "lid", "b.top": "end", "b.side": "hole"})
     assert one.boundaries == ("bottom", "right", "lid", "left", "front", "back", "hole", "end")
-    mesh = solid_mesh(one, 1.0)
+    mesh = graded(one, 1.0)
     assert "hole" in mesh.boundaries and "end" not in mesh.boundaries
     # faces that coincide have the name given by the first solid
     flush = Cut(UNIT, Box(width=0.5, depth=1, height=1), rename={"b.right": "cut"})
@@ -256,12 +256,12 @@ def test_renaming():
 
 def test_names_without_faces_are_an_error_only_when_used():
     assert "bottom" in OCTANT.boundaries
-    mesh = solid_mesh(OCTANT, 0.5)
+    mesh = graded(OCTANT, 0.5)
     assert mesh.boundaries == ("surface", "top", "left", "front")
     with pytest.raises(ValueError, match="boundary 'bottom' does not exist"):
         mesh.boundary_nodes("bottom")
     with pytest.raises(ValueError, match="of boundary 'bottom' no face is left"):
-        solid_mesh(OCTANT, 0.5, {"bottom": 0.1})
+        graded(OCTANT, 0.5, "bottom", 5)
 
 
 @pytest.mark.parametrize(("make", "error", "message"), [
@@ -283,16 +283,14 @@ def test_bad_solids(make, error, message):
 
 
 @pytest.mark.parametrize(("arguments", "error", "message"), [
-    ((TRIANGLE, 1), TypeError, "domain must be a Box or another solid"),
-    ((OCTANT, 1, {"surfac": 0.1}), ValueError, "boundary 'surfac' does not exist; the boundaries are surface, bottom"),
-    ((OCTANT, 1, {"surface": 1e-4}), ValueError, "nodes .at most 2e"),
-    ((OCTANT, 1, {}, 0.3, lambda x: np.full(len(x), 1e-4)), ValueError, "nodes .at most 2e"),
+    ((OCTANT, 1, "surfac", 10), ValueError, "boundary 'surfac' does not exist; the boundaries are surface, bottom"),
+    ((OCTANT, 1, "surface", 1e4), ValueError, "nodes .at most 2e"),
     ((Cut(UNIT, Box(width=3, depth=3, height=3, origin=(-1, -1, -1))), 1), ValueError, "leaves nothing"),
     ((Cut(UNIT, Box(width=0.2, depth=3, height=3, origin=(0.4, -1, -1))), 1), ValueError, "leaves 2 pieces"),
 ])
 def test_bad_meshes(arguments, error, message):
     with pytest.raises(error, match=message):
-        solid_mesh(*arguments)
+        graded(*arguments)
 
 
 def test_a_boolean_operation_that_fails_is_noticed(monkeypatch):

@@ -6,13 +6,12 @@ import step_assembly
 from netgen.occ import Axis, Box, Compound, Cylinder, Glue, Pnt, Sphere, Vec, X, Y, Z
 
 import adaptmg as am
-from adaptmg.mesh import as_mesh, check_mesh, step_table, touching
-from adaptmg.mesh.step import step_mesh
+from adaptmg.mesh import as_mesh, check_mesh, graded, sized, step_table, touching
 from adaptmg.problem.solid_domains import StepFile
 
 
-def from_step(path, size, boundary_sizes=None, *, unit=1e-3, names=None, **options):
-    return step_mesh(StepFile(path, unit, names or {}), size, boundary_sizes, **options)
+def from_step(path, size, contact=(), ratio=1.0, *, unit=1e-3, names=None):
+    return graded(StepFile(path, unit, names or {}), size, contact, ratio)
 
 
 def step_names(path):
@@ -65,12 +64,12 @@ def test_sizes_by_body_and_by_face(two):
     mesh = from_step(two, {"lower": 5e-3, "upper": 2.5e-3})
     lower, upper = (np.median(mesh.element_sizes[mesh.element_body == k]) for k in range(2))
     assert 1.5 < lower / upper < 2.5
-    mesh = from_step(two, 5e-3, {"lower.top": 2e-3})
+    mesh = from_step(two, 5e-3, "lower.top", 2.5)
     assert len(mesh.boundary_nodes("lower.top")) > 3 * len(mesh.boundary_nodes("upper.bottom"))
     # positions in m
-    mesh = from_step(two, 5e-3, size_function=lambda x: 1.5e-3 + 0.5 * x[:, 2])
+    mesh = sized(StepFile(two), lambda x: 1.5e-3 + 0.5 * x[:, 2], 5e-3)
     assert len(mesh.boundary_nodes("lower.bottom")) > 2 * len(mesh.boundary_nodes("upper.top"))
-    first, second = (step_mesh(StepFile(two), 5e-3, {"upper.bottom": 2e-3}) for _ in range(2))
+    first, second = (graded(StepFile(two), 5e-3, "upper.bottom", 2.5) for _ in range(2))
     np.testing.assert_array_equal(first.points, second.points)
     np.testing.assert_array_equal(first.elements, second.elements)
 
@@ -81,7 +80,7 @@ def test_renaming(two):
     assert domain.boundaries is None and domain.bodies is None and domain.dim == 3
     assert step_names(domain) == {"lower": ("symmetry", *SIDES[1:5], "seat"),
                                   "punch": (*SIDES[:4], "contact", "top")}
-    mesh = step_mesh(domain, 5e-3, {"punch.contact": 2e-3})
+    mesh = graded(domain, 5e-3, "punch.contact", 2.5)
     assert (mesh.points[mesh.boundary_nodes("punch.contact"), 2] == 0.005).all()
     # several faces may share a name
     everything = from_step(two, 1e-2, names={f"lower.face{k}": "skin" for k in range(1, 7)})
@@ -96,7 +95,7 @@ def test_files_without_names(tmp_path):
     oblique = pin.Rotate(Axis(Pnt(0, 0, 0), X), 30).Move(Vec(500, 0, 0))
     Compound([pin, pin.Move(Vec(5, 0, 0)), oblique]).WriteStep(str(path))
     assert step_names(path) == {f"solid{k}": ("face1", "face2", "face3") for k in (1, 2, 3)}
-    mesh = from_step(path, 1e-3, {"solid1.face2": 0.25e-3})
+    mesh = from_step(path, 1e-3, "solid1.face2", 4)
     np.testing.assert_allclose(np.bincount(mesh.element_body, mesh.volumes), np.pi * 2e-9, rtol=0.06)
     # a size on a face is not one on its copies
     fine, *others = (len(mesh.boundary_facets(f"solid{k}.face2")) for k in (1, 2, 3))
@@ -134,7 +133,7 @@ def test_units(two):
     ({"names": {"middle": "x"}}, "names: 'middle' is neither a solid nor a 'solid.face' of .*it holds lower: left, r"),
     ({"names": {"lower.lid": "x"}}, "names: 'lower.lid' is neither"),
     ({"names": {"lower": "upper"}}, "two solids are called 'upper'"),
-    ({"boundary_sizes": {"top": 1e-3}}, "boundary 'top' does not exist; the boundaries are lower.left, lower.right"),
+    ({"contact": "top"}, "boundary 'top' does not exist; the boundaries are lower.left, lower.right"),
     ({"size": {"lower": 1e-3}}, "size must name each body once"), ({"size": 1e-6}, "nodes .at most 2e")])
 def test_bad_arguments(two, arguments, message):
     with pytest.raises(ValueError, match=message):
@@ -220,7 +219,6 @@ def test_bad_files(tmp_path):
             (lambda: from_step(tmp_path / "none.step", 1e-3), FileNotFoundError, "path: there is no file"),
             (lambda: from_step(surface, 1e-3), ValueError, "holds no solids; surfaces must be closed"),
             (lambda: from_step(other, 1e-3), ValueError, r"is not a \.step or \.stp file"),
-            (lambda: step_mesh(str(surface), 1e-3), TypeError, "domain must be a StepFile"),
             (lambda: as_mesh(surface), ValueError, "StepFile")):  # a geometry is no mesh
         with pytest.raises(error, match=message):
             call()

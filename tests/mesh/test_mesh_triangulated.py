@@ -11,7 +11,7 @@ from adaptmg._numba import kernel
 from adaptmg.geometry import predicates
 from adaptmg.mesh import check_mesh, graded, grading, quality, sized, triangulate
 from adaptmg.mesh.delaunay import Untriangulated
-from adaptmg.mesh.netgen_plane import equilateral_sizes
+from adaptmg.mesh.sizes import equilateral_sizes
 from adaptmg.mesh.triangulate import triangulated
 
 SQUARE = am.Rectangle(width=1, height=1)
@@ -52,7 +52,7 @@ DOMAINS = {
 
 @pytest.fixture(autouse=True)
 def _no_netgen(monkeypatch):
-    monkeypatch.setattr(grading, "netgen_mesh", lambda *_: pytest.fail("Netgen was asked"))
+    monkeypatch.setattr(grading, "plane_mesh", lambda *_: pytest.fail("Netgen was asked"))
 
 
 @pytest.mark.parametrize("size", [0.3, 0.05])
@@ -201,7 +201,7 @@ def test_too_many_nodes_are_refused_before_they_are_made():
 def test_netgen_meshes_what_triangulation_does_not(monkeypatch):
     asked = []
     monkeypatch.setattr(triangulate, "_CUTS", 0)
-    monkeypatch.setattr(grading, "netgen_mesh", lambda *given: asked.append(given)
+    monkeypatch.setattr(grading, "plane_mesh", lambda *given: asked.append(given)
                         or replace(am.mesh.structured(SQUARE, 4), boundaries=tuple("0123")))
     with pytest.raises(Untriangulated, match="edges of Outline"):
         triangulated(SQUARE.outline, lambda x: np.full(len(x), 0.5))
