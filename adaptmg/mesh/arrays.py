@@ -19,13 +19,14 @@ from scipy.sparse.csgraph import connected_components
 from adaptmg._on_demand import OnDemand, made_on_demand
 from adaptmg._text import shortened
 from adaptmg._threads import in_parts
-from adaptmg.mesh.picture import svg
 
 if TYPE_CHECKING:
     import ngsolve
 
 # of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
 _LABELS = ("facet_labels", "element_body")
+# pictures: pixels of the longer side, elements beyond which only the boundary is drawn, the view from above and right
+_SIZE, _MANY, _VIEW = 480, 20_000, np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
 
 
 def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
@@ -152,7 +153,19 @@ class MeshArrays:
                          + "; see its notes" * bool(self.notes))
 
     def _repr_svg_(self) -> str | None:
-        return svg(self.points, self.elements, self.facets)
+        """Draw the edges of a plane mesh, or those on the surface of a solid one; None where they are too many."""
+        cells = self.elements if self.dim == 2 and len(self.elements) <= _MANY else self.facets
+        ends = np.concatenate([cells[:, [a, b]] for a in range(cells.shape[1]) for b in range(a)])
+        edges = np.unique(np.sort(ends, axis=1), axis=0)
+        if len(edges) > 10 * _MANY:
+            return None
+        seen = self.points[edges] @ (np.diag([1.0, -1.0]) if self.dim == 2 else _VIEW)
+        seen -= seen.min(axis=(0, 1))
+        at = seen * (_SIZE / (seen.max() or 1.0)) + 4
+        width, height = np.ceil(at.max(axis=(0, 1)) + 4).astype(int)
+        path = "".join(f"M{x:.1f} {y:.1f}L{u:.1f} {v:.1f}" for (x, y), (u, v) in at.tolist())
+        return (f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}">'
+                f'<path d="{path}" fill="none" stroke="#3f454d" stroke-width="0.6"/></svg>')
 
     def __reduce__(self) -> tuple:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back

@@ -1,17 +1,16 @@
-r"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every mesh passes here once.
+"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every mesh passes here once.
 
 Netgen does not raise when a face fails, it returns a mesh with holes; a misspelt boundary name gives an empty integral
 without an error. Both are found here: every facet belongs to two elements, or to one element and one named boundary
-facet. Where every two neighbours lie on opposite sides of their facet, a mesh can still wind twice around a node (in
-3D: an edge), so that the angles there add up to :math:`4\pi`, or run into another part of itself; then its boundary
-lies inside it. This is asked of meshes that were not made here (``check_stranger``), and of pairs of bodies.
+facet. Where every two neighbours lie on opposite sides of their facet, a mesh can still wind twice around a node, or
+run into another part of itself; then its boundary lies inside it. This is asked of meshes that were not made here
+(``check_stranger``), and of pairs of bodies.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -217,42 +216,12 @@ _DEEP = 0.05
 
 def check_overlap(mesh: MeshArrays) -> MeshArrays:
     """Return the mesh if none of its bodies lies over itself."""
-    total, corners = _turns(mesh)
-    if total.max() > 2 * np.pi * (1 + 1e-6):
-        k = int(np.argmax(total))
-        nodes, what = np.atleast_1d(corners[k]), "node" if mesh.dim == 2 else "edge with nodes"
-        raise ValueError(f"the elements around {what} {nodes.tolist()} at {_at(mesh.points[nodes])} fill "
-                         f"{np.degrees(total[k]):.0f} degrees, more than 360: the mesh lies over itself (tangled)")
     for number, name in enumerate(mesh.bodies):
         inside = _buried(mesh, number, number)
         if len(inside):
             raise ValueError(f"the boundary of body {name!r} lies inside other elements of it at {len(inside)} places, "
                              f"one of them {_at(inside[:1])}: the body lies over itself (overlapping elements)")
     return mesh
-
-
-def _turns(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Sum of the angles of elements around each node (3D: dihedral, around each edge), and these nodes."""
-    x = mesh.points
-    if mesh.dim == 2:
-        total = np.zeros(mesh.n_nodes)
-        for k in range(3):
-            a, b, c = (mesh.elements[:, (k + i) % 3] for i in range(3))
-            u, v = x[b] - x[a], x[c] - x[a]
-            angle = np.arctan2(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0], (u * v).sum(axis=1))
-            total += np.bincount(a, angle, minlength=mesh.n_nodes)
-        return total, np.arange(mesh.n_nodes)
-    keys, angles = [], []
-    for i, j in combinations(range(4), 2):
-        k, m = sorted({0, 1, 2, 3} - {i, j})
-        a, b = mesh.elements[:, i], mesh.elements[:, j]
-        along = x[b] - x[a]
-        first, second = (np.cross(along, x[mesh.elements[:, n]] - x[a]) for n in (k, m))
-        angles.append(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1)))
-        keys.append(np.minimum(a, b).astype(np.int64) * mesh.n_nodes + np.maximum(a, b))
-    edge, row = np.unique(np.concatenate(keys), return_inverse=True)
-    total = np.bincount(row, np.concatenate(angles))
-    return total, np.stack([edge // mesh.n_nodes, edge % mesh.n_nodes], axis=1)
 
 
 def overlapping_bodies(mesh: MeshArrays, apart: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
@@ -269,15 +238,16 @@ def overlapping_bodies(mesh: MeshArrays, apart: Iterable[tuple[int, int]]) -> It
 
 
 def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
-    """Places (n, dim) of the boundary of a body that lie deep inside elements of another, or of itself. Nodes and
-    centroids of facets: in extruded meshes nodes may lie in planes that no element crosses."""
+    """Places (n, dim) of the boundary of a body that lie deep inside elements of another, or of itself: nodes, and a
+    point of each facet off its centroid, as in regular meshes both may lie in planes that no element crosses."""
     own = np.zeros(mesh.n_nodes, dtype=bool)
     own[mesh.elements[mesh.element_body == body]] = True
     elements = mesh.elements[mesh.element_body == other]
     facets = mesh.facets[own[mesh.facets].all(axis=1)]
     if len(facets) == 0:
         return np.empty((0, mesh.dim))
-    places = np.concatenate([mesh.points[np.unique(facets)], mesh.points[facets].mean(axis=1)])
+    shares = np.arange(mesh.dim, 2.0 * mesh.dim)
+    places = np.concatenate([mesh.points[np.unique(facets)], shares @ mesh.points[facets] / shares.sum()])
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     tree = cKDTree(places)

@@ -137,7 +137,7 @@ def test_every_single_fold_of_a_boundary_node_is_found(mesh):
         bad = turned(mesh, points)
         if len(np.flatnonzero(np.abs(bad.volumes) < 1e-12)):
             continue
-        with pytest.raises(ValueError, match=r"on the same side|lies? over itself|more than 360"):
+        with pytest.raises(ValueError, match=r"on the same side|lies over itself"):
             check_overlap(check_mesh(bad))
     mirrored = turned(mesh, mesh.points * np.r_[-1.0, np.ones(mesh.dim - 1)])
     assert check_overlap(check_mesh(mirrored)).volumes.sum() == pytest.approx(1)
@@ -149,8 +149,8 @@ def test_elements_that_wind_twice_around_a_node():
     ring = np.arange(5) + 1
     star = np.stack([np.zeros(5, dtype=int), ring, np.roll(ring, -1)], axis=1)
     mesh = MeshArrays(points, star, star[:, 1:], np.zeros(5, dtype=int), ("rim",))
-    check_mesh(mesh)  # every facet is in order: only the sum of the angles tells
-    with pytest.raises(ValueError, match=r"around node \[0\] at \(0, 0\) fill 720 degrees"):
+    check_mesh(mesh)  # every facet is in order
+    with pytest.raises(ValueError, match="boundary of body 'body' lies inside other elements of it at 5 places"):
         check_overlap(mesh)
     # the same star in space, two tetrahedra on each of its triangles
     points = np.vstack([np.pad(points, ((0, 0), (0, 1))), [[0, 0, 1.0]]])
@@ -160,7 +160,7 @@ def test_elements_that_wind_twice_around_a_node():
     outer = outer.facets[outer.counts == 1]
     solid = replace(solid, facets=outer, facet_labels=np.zeros(len(outer), dtype=int), boundaries=("all",))
     check_mesh(solid)
-    with pytest.raises(ValueError, match=r"around edge with nodes \[0, 6\] .* fill 720 degrees"):
+    with pytest.raises(ValueError, match="boundary of body 'body' lies inside other elements of it"):
         check_overlap(solid)
 
 
