@@ -157,7 +157,7 @@ class MeshArrays:
         cells = self.elements if self.dim == 2 and len(self.elements) <= _MANY else self.facets
         ends = np.concatenate([cells[:, [a, b]] for a in range(cells.shape[1]) for b in range(a)])
         edges = np.unique(np.sort(ends, axis=1), axis=0)
-        if len(edges) > 10 * _MANY:
+        if not 0 < len(edges) <= 10 * _MANY:
             return None
         seen = self.points[edges] @ (np.diag([1.0, -1.0]) if self.dim == 2 else _VIEW)
         seen -= seen.min(axis=(0, 1))
