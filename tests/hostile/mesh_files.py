@@ -2,7 +2,6 @@
 
 import gzip
 import os
-import struct
 from pathlib import Path
 
 from hostile_table import Hostile
@@ -44,14 +43,12 @@ bcnames
 3 top
 endmesh
 """
-# what is replaced, and by what
+# what is replaced, and by what: Netgen breaks down, or reads it without a word
 VOL_DAMAGE = {
-    "node too large": (" 3 1 2 3", " 3 1 2 9"), "node negative": (" 3 1 2 3", " 3 1 2 -1"),
+    "node negative": (" 3 1 2 3", " 3 1 2 -1"), "node too large": (" 3 1 2 3", " 3 1 2 9"),
     "quadrilateral": (" 3 1 2 3", " 4 1 2 3"), "elements fewer": ("surfaceelements\n2", "surfaceelements\n1"),
-    "points missing": ("points\n", "nothing\n"), "coordinate nan": (" 2 1 0", " nan 1 0"),
-    "folded over": (" 2 1 0", " -1 1 0"), "dimension 3": ("dimension\n2", "dimension\n3"),
-    "segment node": (" 1 0 1 2", " 1 0 1 99"), "boundary 0": (" 2 0 2 3", " 0 0 2 3"),
-    "boundary huge": (" 2 0 2 3", " 999999 0 2 3"), "no end": ("endmesh", ""),
+    "coordinate nan": (" 2 1 0", " nan 1 0"), "dimension 3": ("dimension\n2", "dimension\n3"),
+    "boundary 0": (" 2 0 2 3", " 0 0 2 3"), "boundary huge": (" 2 0 2 3", " 999999 0 2 3"), "no end": ("endmesh", ""),
     "name with control character": ("2 right", "2 ri\x1b[31mght"),
 }
 
@@ -82,12 +79,9 @@ $Elements
 $EndElements
 """
 MSH2_DAMAGE = {
-    "node too large": ("1 1 2 3\n", "1 1 2 9\n"), "node wraps": ("1 1 2 3\n", "1 1 2 4294967299\n"),
-    "nodes 10**9": ("$Nodes\n4", "$Nodes\n1000000000"), "node number twice": ("\n3 2 1 0", "\n2 2 1 0"),
-    "node number huge": ("\n3 2 1 0", "\n2000000000 2 1 0"),
-    "elements 10**9": ("$Elements\n6", "$Elements\n1000000000"),
-    "unknown type": ("5 2 2 3", "5 77 2 3"), "version 9": ("2.2 0 8", "9.9 0 8"), "no nodes": ("$Nodes", "$Nods"),
-    "nodes do not end": ("$EndNodes\n", ""), "name with control character": ('"top"', '"to\x07p"'),
+    "node too large": ("1 1 2 3\n", "1 1 2 9\n"), "nodes 10**9": ("$Nodes\n4", "$Nodes\n1000000000"),
+    "node number twice": ("\n3 2 1 0", "\n2 2 1 0"), "unknown type": ("5 2 2 3", "5 77 2 3"),
+    "no nodes": ("$Nodes", "$Nods"), "name with control character": ('"top"', '"to\x07p"'),
 }
 MSH4 = """$MeshFormat
 4.1 0 8
@@ -126,12 +120,6 @@ $Elements
 2 1 3 4
 $EndElements
 """
-MSH4_DAMAGE = {
-    "4 10**9 nodes": ("2 1 0 4\n", "2 1 0 1000000000\n"), "4 negative nodes": ("2 1 0 4\n", "2 1 0 -4\n"),
-    "4 node too large": ("1 1 2 3\n", "1 1 2 9\n"), "4 node 0": ("1 1 2 3\n", "1 1 2 0\n"),
-    "4 10**9 blocks": ("$Elements\n2 6", "$Elements\n1000000000 6"),
-    "4 unknown type": ("2 1 2 2\n", "2 1 99 2\n"), "4 fewer nodes": ("$Nodes\n1 4", "$Nodes\n1 3"),
-}
 
 
 def _read(name: str, text: str | bytes) -> None:
@@ -147,13 +135,6 @@ def _damaged(kind: str, text: str, damage: dict[str, tuple[str, str]]):
                       writes=True)
 
 
-def _binary(nodes: int = 3, corner: int = 3) -> bytes:
-    points = b"".join(struct.pack("<i3d", i + 1, *p) for i, p in enumerate(((0, 0, 0), (1, 0, 0), (0, 1, 0))))
-    triangle = struct.pack("<9i", 2, 1, 2, 1, 1, 1, 1, 2, corner)
-    return (b"$MeshFormat\n2.2 1 8\n" + struct.pack("<i", 1) + b"\n$EndMeshFormat\n$Nodes\n%d\n" % nodes + points
-            + b"\n$EndNodes\n$Elements\n1\n" + triangle + b"\n$EndElements\n")
-
-
 def _step(change, run=step_table) -> None:
     from netgen.occ import Box, Pnt
 
@@ -163,14 +144,10 @@ def _step(change, run=step_table) -> None:
 
 
 def _other_files():
-    names = {"empty": b"", "zeros": bytes(1000), "noise": bytes(range(256)) * 20,
-             "not text": b"mesh3d\n\xff\xfe\nendmesh\n"}
-    for kind in ("vol", "msh"):
-        for label, data in names.items():
+    for kind in ("vol", "msh", "inp", "bdf"):
+        for label, data in {"empty": b"", "noise": bytes(range(256)) * 20, "zeros": bytes(1000)}.items():
             yield Hostile(f"{kind} {label}", lambda k=kind, d=data: _read(f"bad.{k}", d), f"bad.{kind}", ValueError,
                           writes=True)
-    for label, data in {"nodes": _binary(nodes=10**9), "corner": _binary(corner=77), "cut": _binary()[:120]}.items():
-        yield Hostile(f"binary msh {label}", lambda d=data: _read("bad.msh", d), "bad.msh", ValueError, writes=True)
     packed = gzip.compress(VOL.encode())
     for label, data in {"not packed": VOL.encode(), "cut": packed[:60], "damaged": packed[:40] + b"xx" + packed[42:],
                         "bomb": gzip.compress(b"mesh3d\n" + b"0" * 50_000_000, compresslevel=1)}.items():
@@ -191,5 +168,5 @@ def _step_files():
                   writes=True)
 
 
-INPUTS = (*_damaged("vol", VOL, VOL_DAMAGE), *_damaged("msh", MSH2, MSH2_DAMAGE), *_damaged("msh", MSH4, MSH4_DAMAGE),
+INPUTS = (*_damaged("vol", VOL, VOL_DAMAGE), *_damaged("msh", MSH2, MSH2_DAMAGE),
           *_other_files(), *_step_files())
