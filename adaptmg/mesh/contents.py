@@ -108,8 +108,7 @@ def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: in
 def _pieces(n: int, table: FacetTable, sets: dict[str, np.ndarray], bodies: Sequence[str] | None) -> np.ndarray:
     """The number of the piece of each element, in the order of their first elements."""
     own = np.zeros(n, dtype=np.int64)
-    kept = [name for name in sets if bodies is None or name in bodies]
-    for k, name in enumerate(sorted(kept, key=lambda name: -np.count_nonzero(sets[name]))):
+    for k, name in enumerate(name for name in sets if bodies is None or name in bodies):
         own[sets[name]] = k + 1
     part = components(table, own)
     first = np.unique(part, return_index=True)[1]

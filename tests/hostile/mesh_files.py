@@ -52,38 +52,7 @@ VOL_DAMAGE = {
     "name with control character": ("2 right", "2 ri\x1b[31mght"),
 }
 
-MSH2 = """$MeshFormat
-2.2 0 8
-$EndMeshFormat
-$PhysicalNames
-3
-1 1 "side"
-1 2 "top"
-2 3 "steel"
-$EndPhysicalNames
-$Nodes
-4
-1 0 0 0
-2 2 0 0
-3 2 1 0
-4 0 1 0
-$EndNodes
-$Elements
-6
-1 1 2 1 1 1 2
-2 1 2 1 2 2 3
-3 1 2 2 3 3 4
-4 1 2 1 4 4 1
-5 2 2 3 1 1 2 3
-6 2 2 3 1 1 3 4
-$EndElements
-"""
-MSH2_DAMAGE = {
-    "node too large": ("1 1 2 3\n", "1 1 2 9\n"), "nodes 10**9": ("$Nodes\n4", "$Nodes\n1000000000"),
-    "node number twice": ("\n3 2 1 0", "\n2 2 1 0"), "unknown type": ("5 2 2 3", "5 77 2 3"),
-    "no nodes": ("$Nodes", "$Nods"), "name with control character": ('"top"', '"to\x07p"'),
-}
-MSH4 = """$MeshFormat
+MSH = """$MeshFormat
 4.1 0 8
 $EndMeshFormat
 $PhysicalNames
@@ -120,6 +89,11 @@ $Elements
 2 1 3 4
 $EndElements
 """
+MSH_DAMAGE = {
+    "node too large": ("1 1 2 3\n", "1 1 2 9\n"), "10**9 nodes": ("2 1 0 4\n", "2 1 0 1000000000\n"),
+    "node 0": ("1 1 2 3\n", "1 1 2 0\n"), "unknown type": ("2 1 2 2\n", "2 1 99 2\n"), "no nodes": ("$Nodes", "$Nods"),
+    "name with control character": ('"rim"', '"ri\x07m"'),
+}
 
 
 def _read(name: str, text: str | bytes) -> None:
@@ -168,5 +142,5 @@ def _step_files():
                   writes=True)
 
 
-INPUTS = (*_damaged("vol", VOL, VOL_DAMAGE), *_damaged("msh", MSH2, MSH2_DAMAGE),
+INPUTS = (*_damaged("vol", VOL, VOL_DAMAGE), *_damaged("msh", MSH, MSH_DAMAGE),
           *_other_files(), *_step_files())

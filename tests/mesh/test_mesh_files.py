@@ -59,16 +59,15 @@ def test_groups_without_names_and_second_order(tmp_path):
     assert len(mesh.elements) == 4 and [len(mesh.boundary_facets(name)) for name in ("3", "5")] == [4, 2]
 
 
-def test_comments_groups_of_some_and_several_groups(tmp_path):
-    path = tmp_path / "m.msh"
-    old = mesh_files.MSH2.replace("2.2 0 8", "2.1 0 8").replace("$Nodes", "$Comment\n of others\n$EndComment\n$Nodes")
-    both = mesh_files.MSH4.replace(" 1 5 0\n", " 2 5 6 0\n").replace('2\n1 5 "rim"', '3\n1 5 "rim"\n1 6 "all"')
-    for text, boundaries, chosen in (("$Comments\nof $Nodes\n$EndComments\n" + old, ("side", "top"), None),
-                                     (both, ("rim",), None), (both, ("all",), ["all"])):
-        path.write_text(text)
-        mesh = from_file(path, unnamed="free", unit=0.5, boundaries=chosen)
-        assert mesh.bodies == ("steel",) and mesh.boundaries == boundaries and mesh.volumes.sum() == 0.5
-    path.write_text(mesh_files.MSH4.replace(" 1 5 0\n", " 0 0\n"))
+def test_groups_of_some_and_several_groups(tmp_path):
+    path, groups = tmp_path / "m.msh", {' 1 5 0\n': ' 2 5 6 0\n', '2\n1 5 "rim"': '3\n1 5 "rim"\n1 6 "all"'}
+    for chosen in ("rim", "all"):
+        path.write_text(re.sub("|".join(groups), lambda match: groups[match[0]], mesh_files.MSH))
+        mesh = from_file(path, unnamed="free", unit=0.5, boundaries=[chosen])
+        assert mesh.bodies == ("steel",) and mesh.boundaries == (chosen,) and mesh.volumes.sum() == 0.5
+    path.write_text(mesh_files.MSH.replace('2\n1 5 "rim"\n2 3 "steel"', '1\n1 5 "rim"'))
+    assert from_file(path).bodies == ("3",) and from_file(path).boundaries == ("rim",)
+    path.write_text(mesh_files.MSH.replace(" 1 5 0\n", " 0 0\n"))
     with pytest.raises(ValueError, match=r"m.msh.*gmsh:physical.*write it as MSH 2.2"):
         from_file(path)
 
@@ -188,7 +187,7 @@ def test_netgen_files_are_read_as_netgen_reads_them(tmp_path, make):
 
 
 def test_every_cut_is_noticed(tmp_path):
-    for name, text in (("cut.vol", mesh_files.VOL), ("cut.msh", mesh_files.MSH2)):
+    for name, text in (("cut.vol", mesh_files.VOL), ("cut.msh", mesh_files.MSH)):
         for k in range(0, len(text) - 15, 37):
             (tmp_path / name).write_text(text[:k])
             with pytest.raises(ValueError, match=re.escape(name)):
@@ -203,7 +202,7 @@ def test_damaged_files_are_read_soundly_or_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "text"), [
-    ("a.vol", mesh_files.VOL), ("b.msh", mesh_files.MSH2), ("c.msh", mesh_files.MSH4),
+    ("a.vol", mesh_files.VOL), ("b.msh", mesh_files.MSH),
     ("e.vol", mesh_files.VOL.replace("\n", "\r\n") + "geometry\n")])
 def test_hostile_files_are_sound_before_they_are_damaged(tmp_path, name, text):
     (tmp_path / name).write_bytes(text.encode())

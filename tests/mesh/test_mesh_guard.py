@@ -15,24 +15,6 @@ from adaptmg.mesh import graded, netgen_guard, sized
 from adaptmg.mesh.netgen_guard import NetgenFails, NetgenUnfinished, netgen
 
 
-@pytest.fixture
-def stub(monkeypatch, tmp_path):
-    """A worker that answers requests in its own way."""
-    def use(code):
-        path = tmp_path / "worker.py"
-        path.write_text("import pickle, sys, time, os\n"
-                        "while True:\n"
-                        "    name, arguments = pickle.load(sys.stdin.buffer)\n"
-                        f"    {code}\n"
-                        "    pickle.dump((True, name), sys.stdout.buffer); sys.stdout.flush()\n")
-        monkeypatch.setattr(netgen_guard, "_WORKER", path)
-
-    monkeypatch.setattr(netgen_guard, "_idle", {})
-    yield use
-    for worker in netgen_guard._idle.get(os.getpid(), []):
-        worker.end()
-
-
 def test_one_process_serves_all_calls_and_errors_keep_it():
     with netgen() as first:
         with pytest.raises(NetgenFails):
@@ -44,18 +26,21 @@ def test_one_process_serves_all_calls_and_errors_keep_it():
     assert first.alive != other.alive
 
 
-@pytest.mark.parametrize(("code", "error", "message"), [
-    ("os.abort()", NetgenFails, "it breaks down, exit code -6"),
-    ("time.sleep(60)", NetgenUnfinished, "it does not finish within 1 s"),
+@pytest.mark.parametrize(("code", "seconds", "error", "message"), [
+    ("os.abort()", 60, NetgenFails, "it breaks down, exit code -6"),
+    ("time.sleep(60)", 1, NetgenUnfinished, "it does not finish within 1 s"),
 ])
-def test_a_process_that_breaks_down_or_hangs_is_replaced(stub, code, error, message):
-    stub(code)
-    with pytest.raises(error, match=message), netgen() as worker:
-        worker("hello", seconds=1 if "sleep" in code else 60)
+def test_a_process_that_breaks_down_or_hangs_is_replaced(monkeypatch, tmp_path, code, seconds, error, message):
+    monkeypatch.setattr(netgen_guard, "_idle", {})
+    with monkeypatch.context() as patch:
+        patch.setattr(netgen_guard, "_WORKER", tmp_path / "worker.py")
+        (tmp_path / "worker.py").write_text(f"import os, time\n{code}\n")
+        with pytest.raises(error, match=message), netgen() as worker:
+            worker("hello", seconds=seconds)
     assert not worker.alive and not netgen_guard._idle[os.getpid()]
-    stub("pass")
-    with netgen() as worker:
-        assert worker("hello", seconds=60) == "hello"
+    with netgen() as worker, pytest.raises(NetgenFails, match="KeyError"):
+        worker("hello", seconds=60)
+    worker.end()
 
 
 def test_a_mesh_that_does_not_finish_is_refused_with_the_limit(monkeypatch):

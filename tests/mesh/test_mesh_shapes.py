@@ -123,19 +123,18 @@ def test_diagonals_without_neighbours_are_the_shorter_ones():
 
 @pytest.mark.parametrize("kind", ["hexahedron", "wedge15"])
 def test_twisted_elements_get_a_node_at_their_centre(kind):
-    points, nodes = element(kind), np.arange(KINDS[kind][1])
-    high = points[:, 2] == 1
-    angle, middle = np.radians(50), points[high, :2].mean(axis=0)
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    points[high, :2] = (points[high, :2] - middle) @ turn + middle
-    for k, ends in enumerate(middles(kind)):
-        points[len(points) - len(middles(kind)) + k] = points[list(ends)].mean(axis=0)
+    def twisted(x):
+        angle = np.radians(50) * x[:, 2]
+        y = x[:, :2] - x[x[:, 2] == 1, :2].mean(axis=0)
+        return np.column_stack([np.cos(angle) * y[:, 0] - np.sin(angle) * y[:, 1],
+                                np.sin(angle) * y[:, 0] + np.cos(angle) * y[:, 1], x[:, 2]])
+
+    corners = twisted(np.array(CORNERS[KINDS[kind][0]], dtype=float))
+    points = np.concatenate([corners, *(corners[list(ends)].mean(axis=0)[None] for ends in middles(kind))])
     for k in range(8):
-        numbers = np.random.default_rng(k).permutation(nodes)
-        x = np.empty_like(points)
-        x[numbers] = points
-        mesh, _ = mesh_of(Contents(x, [(kind, numbers[None])]), unit=1.0, unnamed="free", split_bodies=False,
-                          boundaries=None, body="b")
+        numbers = np.random.default_rng(k).permutation(len(points))
+        mesh, _ = mesh_of(Contents(points[np.argsort(numbers)], [(kind, numbers[None])]), unit=1.0, unnamed="free",
+                          split_bodies=False, boundaries=None, body="b")
         assert mesh.n_nodes in (len(points), len(points) + 1) and mesh.bodies == ("b",)
 
 
