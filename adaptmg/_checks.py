@@ -190,7 +190,7 @@ def file_path(name: str, value: object) -> Path:
 
 
 def fits(name: str, size: float, words: str) -> None:
-    """ValueError if ``size`` bytes are more than the main memory of the machine; ``words`` name their content."""
+    """Raise ValueError if ``size`` bytes are more than the main memory of the machine; ``words`` name their content."""
     if size > memory():
         raise ValueError(f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory() / 1e9:.3g} GB")
 

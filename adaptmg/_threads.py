@@ -34,6 +34,8 @@ class _Threads:
     def map(self, kernel: Callable[..., Any], ranges: Sequence[tuple[int, int]], arguments: Sequence[object]) -> list:
         """Call a kernel for all ranges, in all threads at the same time, this one included; those that did not begin
         are not awaited."""
+        if self.pool is None:
+            return [kernel(*each, *arguments) for each in ranges]
         results: list[Any] = [None] * len(ranges)
         left = iter(range(len(ranges)))
 
@@ -41,7 +43,7 @@ class _Threads:
             for k in left:
                 results[k] = kernel(*ranges[k], *arguments)
 
-        others = [self.pool.submit(work) for _ in range(min(self.number, len(ranges)) - 1)] if self.pool else []
+        others = [self.pool.submit(work) for _ in range(min(self.number, len(ranges)) - 1)]
         try:
             work()
         finally:

@@ -17,7 +17,6 @@ import adaptmg as am
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = sorted((ROOT / "studies" / "docs").rglob("*.rst"))
-TUTORIALS = sorted((ROOT / "studies" / "tutorials").glob("*.py"))
 
 
 def test_every_public_name_is_on_one_page_of_the_reference():
@@ -29,26 +28,6 @@ def test_every_public_name_is_on_one_page_of_the_reference():
     public = [*set(dir(am)) - set(modules)] + [f"{module}.{name}" for module in modules if module != "solver"
                                                for name in getattr(am, module).__all__ if name not in dir(am)]
     assert sorted(listed) == sorted(public)
-
-
-def test_tutorials_are_short():
-    lines = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in TUTORIALS}
-    assert len(lines) == 12 and max(lines.values()) <= 40, lines
-
-
-@pytest.mark.slow
-def test_the_first_tutorial_runs_as_a_notebook(tmp_path, monkeypatch):
-    convert = pytest.importorskip("sphinx_gallery.notebook").python_to_jupyter_cli
-    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
-    monkeypatch.chdir(tmp_path)
-    script = tmp_path / TUTORIALS[0].name
-    script.write_text(TUTORIALS[0].read_text(encoding="utf-8"), encoding="utf-8")
-    convert([str(script)])
-    notebook = nbformat.read(script.with_suffix(".ipynb"), as_version=4)
-    nbclient.NotebookClient(notebook, timeout=300).execute()
-    shown = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
-    assert any("image/png" in output.get("data", {}) for output in shown)
-    assert any("CONVERGED" in str(output) for output in shown)
 
 
 def blocks(page):

@@ -6,20 +6,18 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from adaptmg.mesh import MeshArrays
+from adaptmg.mesh import structured as mesh_of_domain
+from adaptmg.mesh.arrays import facet_table
+from adaptmg.problem import Box, Rectangle
 
 
 def mesh_of(points, elements, **options):
     """MeshArrays from points and elements: oriented, with the outer facets as boundary 'all'."""
     points, elements = np.asarray(points, dtype=float), np.array(elements)
-    dim = points.shape[1]
-    corners = points[elements]
     negative = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
     elements[np.ix_(negative, [0, 1])] = elements[np.ix_(negative, [1, 0])]
-    # faces of a positive element, ordered so that their normals point out
-    faces = [(1, 2), (2, 0), (0, 1)] if dim == 2 else [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
-    facets = np.concatenate([elements[:, list(face)] for face in faces])
-    _, first, count = np.unique(np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True)
-    facets = facets[first[count == 1]]
+    table = facet_table(elements, len(points))
+    facets = table.facets[table.counts == 1]
     return MeshArrays(points=points, elements=elements, facets=facets, facet_labels=np.zeros(len(facets)),
                       boundaries=("all",), **options)
 
@@ -51,17 +49,8 @@ def random_box(n, dim, seed):
 
 def structured(n, dim, grading=1.0):
     """Unit square or cube, n cells a side, each cut along its diagonal; n and 2 n are nested; graded by t^grading."""
-    axes = np.meshgrid(*[np.linspace(0, 1, n + 1) ** grading] * dim, indexing="ij")
-    points = np.stack([a.ravel() for a in axes], axis=1)
-    cells = np.stack([a.ravel() for a in np.meshgrid(*[np.arange(n)] * dim, indexing="ij")], axis=1)
-    strides = (n + 1) ** np.arange(dim - 1, -1, -1)
-    elements = []
-    for path in itertools.permutations(range(dim)):
-        corners = [np.zeros(dim, dtype=int)]
-        for axis in path:
-            corners.append(corners[-1] + np.eye(dim, dtype=int)[axis])
-        elements.append(np.stack([(cells + c) @ strides for c in corners], axis=1))
-    return mesh_of(points, np.concatenate(elements))
+    mesh = mesh_of_domain(Rectangle(width=1, height=1) if dim == 2 else Box(width=1, depth=1, height=1), n)
+    return mesh_of(mesh.points ** grading, mesh.elements)
 
 
 def log_graded(n, seed):
