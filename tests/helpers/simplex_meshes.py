@@ -14,6 +14,7 @@ from adaptmg.problem import Box, Rectangle
 def mesh_of(points, elements, **options):
     """MeshArrays from points and elements: oriented, with the outer facets as boundary 'all'."""
     points, elements = np.asarray(points, dtype=float), np.array(elements)
+    corners = points[elements]
     negative = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
     elements[np.ix_(negative, [0, 1])] = elements[np.ix_(negative, [1, 0])]
     table = facet_table(elements, len(points))
