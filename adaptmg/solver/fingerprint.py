@@ -68,11 +68,6 @@ class Fingerprint:
         text = "\n".join(f"{name}\0{value}" for name, value in sorted(self.parts.items()))
         return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
-    @property
-    def uses_adaptmg(self) -> bool:
-        """Whether adaptmg is a part."""
-        return "adaptmg" in self.parts
-
     def seen(self) -> Fingerprint:
         """Return the parts without ``depends``: the same in every process that computes the same."""
         return Fingerprint({name: value for name, value in self.parts.items() if not name.startswith("depends ")})

@@ -150,23 +150,21 @@ def opened(workers: int | None, scheduler: str | Client | Cluster | None, runs: 
            ) -> Iterator[Execute]:
     """Yield an executor on new processes of this machine, or on the cluster of the user."""
     if scheduler is None:
-        with local_cluster(min(workers, runs), memory_limit=memory_limit) as client:
-            yield functools.partial(on_cluster, client)
+        clients = local_cluster(min(workers, runs), memory_limit=memory_limit)
     elif isinstance(scheduler, Client):
-        yield functools.partial(on_cluster, scheduler)
-    elif isinstance(scheduler, str | Cluster):
+        clients = contextlib.nullcontext(scheduler)
+    else:
+        checks.instance("scheduler", scheduler, (str, Cluster), "an address such as 'tcp://host:8786', a "
+                        "distributed.Client or a cluster of dask")
         # a client that cannot read the address blocks for a while when it is collected
         if isinstance(scheduler, str) and not re.fullmatch(r"\S+:\d+", scheduler):
             raise ValueError(f"scheduler must be an address such as 'tcp://host:8786', got {checks.shown(scheduler)}")
         try:
-            client = Client(scheduler, set_as_default=False, timeout=CONNECT_S)
+            clients = Client(scheduler, set_as_default=False, timeout=CONNECT_S)
         except (OSError, TimeoutError, ValueError) as error:
             raise OSError(f"scheduler: nobody answers at {scheduler}: start 'dask scheduler' ({error})") from error
-        with client:
-            yield functools.partial(on_cluster, client)
-    else:
-        raise TypeError(f"scheduler must be an address such as 'tcp://host:8786', a distributed.Client or a cluster of "
-                        f"dask, got {checks.described(scheduler)}")
+    with clients as client:
+        yield functools.partial(on_cluster, client)
 
 
 def on_cluster(client: Client, task: Task, points: Iterator[Point | None]) -> Done:
@@ -207,7 +205,7 @@ def check_workers(client: Client, order: Order, limited: bool) -> None:
 def _ready(order: bytes) -> tuple[RunFunction, bool]:
     """Return the run function of an order, checked, and whether it uses adaptmg."""
     unpacked = pickle.loads(order)
-    return execute.readied(unpacked), unpacked.fingerprint.uses_adaptmg
+    return execute.readied(unpacked), "adaptmg" in unpacked.fingerprint.parts
 
 
 def _on_worker(order: bytes, point: Point, name: str, topic: str) -> Finished:

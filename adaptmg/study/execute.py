@@ -66,7 +66,7 @@ LOOK_S = 0.5
 
 def in_turn(task: Task, points: Iterator[Point | None]) -> Done:
     """Run after run, in this process."""
-    if task.fingerprint.uses_adaptmg:
+    if "adaptmg" in task.fingerprint.parts:
         warm()
     for point in points:
         if point is None:

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from adaptmg import _checks as checks
-from adaptmg._text import say
 from adaptmg.solver.fingerprint import Fingerprint, environment
 from adaptmg.study.designs import DesignLike, Point, Value, as_design, canonical, parameter_value
 from adaptmg.study.execute import RESERVED, Done, RunFunction, Task, commit, in_turn, now, study_fingerprint
@@ -40,8 +39,6 @@ Stored = tuple[Point, Record | None]
 #: reasons that are listed
 _MOST = 12
 Progress = bool | Callable[["Watch"], None] | None
-#: seconds between two lines about a study that runs where no terminal shows a bar
-_EVERY_S = 60.0
 #: seconds of runs that this process claims ahead of others that compute the same study
 _AHEAD_S = 0.25
 
@@ -74,10 +71,7 @@ class StudyStatus:
         lines = [f"Study {self.name!r}: {self.total} runs: {self.done} done, {self.failed} failed, {self.stale} stale, "
                  f"{self.missing} missing"]
         for title, counts in (("stale", self.reasons), ("failed", self.errors)):
-            ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-            lines += [f"  {title}: {text} ({count})" for text, count in ordered[:_MOST]]
-            if len(ordered) > _MOST:
-                lines.append(f"  {title}: {len(ordered) - _MOST} more")
+            lines += [f"  {title}: {text} ({count})" for text, count in Counter(counts).most_common(_MOST)]
         return "\n".join(lines)
 
 
@@ -167,8 +161,8 @@ class Study:
         Parameters
         ----------
         progress : bool or callable, optional
-            Show a progress bar on standard error; default: a bar on a terminal, elsewhere a line a minute. Without a
-            bar each run is a line of the log (``adaptmg.study``, INFO). A function is called after each run with an
+            Show a progress bar on standard error; default: where that is a terminal. Each run is a line of the log,
+            too (``adaptmg.study``, INFO). A function is called after each run with an
             object that has ``name``, ``total``, ``done``, ``failed`` and ``words()``.
         workers : int, optional
             Processes on this machine that compute runs, one thread each (dask.distributed). Default: this process.
@@ -392,12 +386,10 @@ class Watch:
 @contextmanager
 def _shown(watch: Watch, progress: Progress) -> Iterator[Callable[[], None]]:
     """Yield what is to be called after each run: the function of the user, or one that updates a bar on standard error;
-    by default a bar on a terminal, elsewhere a line a minute."""
+    by default only where that is a terminal."""
     if callable(progress):
         yield lambda: progress(watch)
-    elif progress is False or sys.stderr is None:  # without a console (pythonw, a service)
-        yield lambda: None
-    elif progress or sys.stderr.isatty():
+    elif sys.stderr is not None and (sys.stderr.isatty() if progress is None else progress):
         from rich import progress as shown
         from rich.console import Console
 
@@ -407,16 +399,4 @@ def _shown(watch: Watch, progress: Progress) -> Iterator[Callable[[], None]]:
             task = bar.add_task(watch.name, total=watch.total, completed=watch.done, words=watch.words())
             yield lambda: bar.update(task, completed=watch.done, words=watch.words())
     else:
-        yield _line_a_minute(watch)
-
-
-def _line_a_minute(watch: Watch) -> Callable[[], None]:
-    last = time.monotonic()
-
-    def show() -> None:
-        nonlocal last
-        if time.monotonic() - last >= _EVERY_S:
-            last = time.monotonic()
-            say(f"study {watch.name}: {watch.done} of {watch.total} runs, {watch.words()}")
-
-    return show
+        yield lambda: None

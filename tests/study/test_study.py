@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from adaptmg.study import Study, as_text, execute, study
+from adaptmg.study import Study, as_text, execute
 from adaptmg.study.designs import canonical
 from adaptmg.study.execute import compute
 from adaptmg.study.store import Record, Store
@@ -232,15 +232,6 @@ def test_each_run_is_reported(capsys, caplog, monkeypatch):
 
 TABLE = pd.DataFrame({"mesh <h>": ["33 x 33", "a&b"], "seconds": [0.123456, float("nan")], "cycles": [12, 7],
                       "ok": [True, False]})
-
-
-def test_a_line_a_minute_where_there_is_no_terminal(capsys, monkeypatch):
-    monkeypatch.setattr(study, "_EVERY_S", 0.0)
-    sweep(case, {"sweeps": [1, 2]}).run()
-    assert "study case: 1 of 2 runs, none failed" in capsys.readouterr().err
-    monkeypatch.setattr(study, "_EVERY_S", 60.0)
-    sweep(case, {"sweeps": [1, 2]}).run()
-    assert capsys.readouterr().err == ""
 
 
 def test_tables_name_units():
