@@ -503,7 +503,7 @@ def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path:
     # the problem itself, since another law or gap may differ only between the nodes of the first mesh; references only
     # document it
     posed = {part.name: getattr(start.problem, part.name) for part in fields(start.problem) if part.name != "reference"}
-    return fingerprint(start, loads, factors, 0 if load_path is None else len(load_path), posed | dict(options), None,
+    return fingerprint(start, loads, factors, 0 if load_path is None else len(load_path), posed | dict(options),
                        depends)
 
 

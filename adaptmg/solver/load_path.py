@@ -17,7 +17,6 @@ from functools import partial
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder
@@ -29,20 +28,18 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.load_path import LoadPath, obstacles_in_path
+from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_path, advise_on_problem, once
 from adaptmg.solver.controls import Controls
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.load_steps import Past, StepSolver, TruncatedSteps, better_start, past_of
+from adaptmg.solver.load_steps import Past, TruncatedSteps, better_start, coarse_displacements
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import KINDS, NotConverged, Result
 from adaptmg.solver.solve import (
     checked_outcome,
-    displacement_argument,
     grids_argument,
     method_argument,
-    pressures_argument,
     result_of,
 )
 from adaptmg.solver.statics import check_statics_of, warn_of_several_solutions
@@ -83,7 +80,7 @@ class PathResult(Sequence[Result]):
 
     @property
     def complete(self) -> bool:
-        """Whether all steps of the path were solved to their tolerance."""
+        """Return whether all steps of the path were solved to their tolerance."""
         return len(self.results) == self.n_steps and all(result.status.ok for result in self.results)
 
     def __len__(self) -> int:
@@ -140,7 +137,7 @@ class PathResult(Sequence[Result]):
         return pandas.DataFrame(rows)
 
     def slip_path(self) -> np.ndarray:
-        """How far each contact node has slipped so far (n_steps, n_contact), m; back and forth add up.
+        """Return how far each contact node has slipped so far (n_steps, n_contact), m; back and forth add up.
 
         The sum of ``|slip|`` over the steps after which it is in contact.
         """
@@ -212,8 +209,8 @@ class StepNotConverged(NotConverged):
 @once()
 @one_blas_thread()
 def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
-               start: ArrayLike | Result | None = None, store: str | os.PathLike[str] | None = None,
-               depends: Mapping[str, object] | None = None, throw: bool = True,
+               store: str | os.PathLike[str] | None = None, depends: Mapping[str, object] | None = None,
+               throw: bool = True,
                callback: Callable[[int, Result], None] | None = None,
                progress: Callable[[int, dict[str, float]], None] | bool | None = None) -> PathResult:
     """Solve a contact problem along a load path on the finest level of a hierarchy.
@@ -227,9 +224,6 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
         The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a step;
         "discretisation" sets it once, in the first step. Multigrid with :class:`adaptmg.Truncated` is set up once.
-    start : (n_nodes, dim) array or Result, optional
-        Displacement against which the first step slips, m. Default: the unloaded, undeformed bodies. None where
-        obstacles move or bolts are tightened, as a displacement does not say where and how far.
     store : path, optional
         A folder where every finished step is kept immediately. A path that was interrupted goes on there; a folder with
         steps of another problem, hierarchy, path or solver is refused. A user-defined solver is compared by its code
@@ -269,15 +263,8 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     checks.optional_callable("callback", callback, "the number and Result of a step")
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "the number of a step and a row of its history (or a bool)")
-    pressures = pressures_argument(start, grids.finest.discrete)
-    start = displacement_argument("start", start, grids.finest.discrete)
-    if start is not None and grids.problem is not None and (grids.problem.by_force
-                                                            or obstacles_in_path(grids.problem)):
-        raise ValueError("start must be None: where obstacles were and how tight bolts were before the first step is "
-                         "not in it; solve all steps as one path")
-    loop = PathLoop(grids, path, solver, start, pressures)
-    mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, start,
-                                                depends)
+    loop = PathLoop(grids, path, solver)
+    mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, depends)
     if store is not None and (obstacles := loop.controls.posed()):
         mark["obstacles and preloads"] = obstacles
     kept = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
@@ -307,21 +294,13 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     return PathResult(tuple(results), loop.factors, mark, len(path))
 
 
-def step_solver(solver: Solver) -> StepSolver:
-    """How a solver goes through the steps."""
-    if isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated):
-        return TruncatedSteps(solver)
-    later = solver
-    if isinstance(solver, FullMultigrid):
-        later = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
-    return _Restarted(solver, later)
-
-
 class _Restarted:
     """A solver that is run again for every step: ``first`` without a start, ``later`` with one."""
 
-    def __init__(self, first: Solver, later: Solver) -> None:
-        self.first, self.later = first, later
+    def __init__(self, solver: Solver) -> None:
+        self.first = self.later = solver
+        if isinstance(solver, FullMultigrid):
+            self.later = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
 
     def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past) -> tuple[Outcome, None]:
         if not past.given:
@@ -330,7 +309,7 @@ class _Restarted:
         return self.later.run(hierarchy, run, start.reshape(examiner.discrete.n_nodes, -1)), None
 
     def hold(self, rtol: float) -> None:
-        """Every step is solved to the tolerance of the solver."""
+        """Solve every step to the tolerance of the solver."""
 
 
 _LOG = logging.getLogger(__name__)
@@ -339,8 +318,7 @@ _LOG = logging.getLogger(__name__)
 class PathLoop:
     """The steps of a path."""
 
-    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver, start: np.ndarray | None,
-                 pressures: np.ndarray | None = None) -> None:
+    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver) -> None:
         self.grids, self.path, self.solver = grids, path, solver
         self.factors = path.resolved(_problem_with_names(grids))
         self.loads = _loads(grids)
@@ -348,21 +326,19 @@ class PathLoop:
             # two supports that no longer agree should show before the first step is solved
             self.loads[-1].fixed_values(self._factors_at(k))
         self.examiner = Examiner(grids.finest.discrete)
-        self.method = step_solver(solver)
+        truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
+        self.method = TruncatedSteps(solver) if truncated else _Restarted(solver)
         self.controls = Controls(grids.problem if _problem_with_names(grids) else None, grids.finest)
-        begin = np.zeros(grids.finest.discrete.n_dofs) if start is None else start.reshape(-1)
-        pressures = _no_pressures(grids.finest.discrete) if pressures is None else pressures
-        self.past = past_of(grids, begin, start is not None)
-        if start is not None and pressures is not None:
-            self.past = replace(self.past, pressures=(pressures, pressures))
-        #: displacements of the last two steps on the finest level, and the forces that led there, None if unknown
-        self.recent: list[tuple[np.ndarray, np.ndarray | None]] = [
-            (_together(begin, pressures), np.zeros_like(begin) if start is None else None)]
+        begin, pressures = np.zeros(grids.finest.discrete.n_dofs), _no_pressures(grids.finest.discrete)
+        self.past = Past([np.zeros(level.discrete.n_dofs) for level in grids.levels] if grids.discretised else [begin],
+                         begin, False)
+        #: displacements of the last two steps on the finest level, and the forces that led there
+        self.recent = [(_together(begin, pressures), np.zeros_like(begin))]
         #: displacements of the last step on the coarse levels, where the method has them
         self.coarse: list[np.ndarray] | None = None
 
     def described(self, k: int) -> str:
-        """The factors of a step, for messages."""
+        """Return the factors of a step as text."""
         return ", ".join(f"{name}={factor:g}" for name, factor in self._factors_at(k).items())
 
     def _factors_at(self, k: int) -> dict[str, float]:
@@ -412,7 +388,7 @@ class PathLoop:
         return result, (grids, forces, coarse)
 
     def report(self, k: int, result: Result) -> str:
-        """How a step ended, as text."""
+        """Return how a step ended, as text."""
         return (f"step {k} of {len(self.path)} ({self.described(k)}): {result.status.name} after {result.cycles} "
                 f"cycles and {result.seconds:.2g} s")
 
@@ -434,13 +410,13 @@ class PathLoop:
         slid = np.abs(contact.slip_reference).any(axis=1)
         return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
 
-    def _stress_data(self, k: int, motions: Mapping[str, np.ndarray]) -> StressData | None:
-        return self.loads[-1].stress_data(self._loading(k, motions))
-
     def _loading(self, k: int, motions: Mapping[str, np.ndarray]) -> dict[str, float]:
         """Factors of all loads: those of preloads are strains."""
         bolts = {bolt.path_name: float(motions[bolt.path_name][0]) for bolt in self.controls.bolts}
         return self._factors_at(k) | bolts
+
+    def _stress_data(self, k: int, motions: Mapping[str, np.ndarray]) -> StressData | None:
+        return self.loads[-1].stress_data(self._loading(k, motions))
 
     def _undeformed(self, k: int, grids: Hierarchy, run: Run, motions: Mapping[str, np.ndarray]) -> Result:
         """The result of a step in which nothing acts: no method could tell the relative error of its iterates."""
@@ -474,8 +450,8 @@ class PathLoop:
         # from the result, as a path that goes on from its store has it
         displacement, pressures = discrete.relative(result.displacement).reshape(-1), result.pressures
         self.recent = [*self.recent[-1:], (_together(displacement, pressures), forces)]
-        past = past_of(grids, displacement, True) if coarse is None else Past(
-            [*coarse, displacement], displacement, True)
+        levels = coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
+        past = Past(levels, displacement, True)
         self.past = past if pressures is None else replace(past, pressures=(pressures, pressures))
 
     def _with_extrapolated(self, forces: np.ndarray, near: Result | None) -> Past:
@@ -490,8 +466,6 @@ class PathLoop:
         """The displacement, and the pressures of volumes behind it, for new forces if all goes on as between the last
         two steps, least squares in the forces."""
         (before, forces_before), (last, last_forces) = self.recent[0], self.recent[-1]
-        if len(self.recent) < 2 or forces_before is None:
-            return last
         change = last_forces - forces_before
         # not through BLAS, whose threads cost more than they gain
         size = float(np.einsum("i,i->", change, change))

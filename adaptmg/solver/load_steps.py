@@ -13,7 +13,6 @@ round when a load is taken back, where the interpolation of the whole displaceme
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.sparse.linalg import lsmr
@@ -37,47 +36,28 @@ class Past:
 
     levels: list[np.ndarray]  # list of (n_dofs,)s
     extrapolated: np.ndarray  # (n_dofs,)
-    given: bool  # whether there is a step before, or a start
+    given: bool  # whether there is a step before
     #: of the volumes of the finest level, last and extrapolated; None where there are none or they are unknown
     pressures: tuple[np.ndarray, np.ndarray] | None = None
 
     def starts(self) -> list[tuple[np.ndarray, np.ndarray | None]]:
-        """Displacement and pressures of the step before, and the extrapolated ones."""
+        """Return displacement and pressures of the step before, and the extrapolated ones."""
         last, extrapolated = (None, None) if self.pressures is None else self.pressures
         return [(self.levels[-1], last), (self.extrapolated, extrapolated)]
 
 
-class StepSolver(Protocol):
-    """What :func:`adaptmg.solve_path` needs of a method."""
-
-    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
-            ) -> tuple[Outcome, list[np.ndarray] | None]:
-        """Solve a step; with the displacement of the coarse levels if the method has it."""
-
-    def hold(self, rtol: float) -> None:
-        """Keep the tolerance of a step, where the first one sets it."""
-
-
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
-    """The displacement of the step before or the extrapolated one, whichever has the smaller natural residual."""
+    """Return the displacement of the step before or the extrapolated one, the one with the smaller residual."""
     with run.phase("start"):
         displacement, run.pressures = min(past.starts(), key=lambda one: examiner.relative_residual(*one))
     return displacement
 
 
-def past_of(hierarchy: Hierarchy, displacement: np.ndarray, given: bool) -> Past:
-    """What is known before the first step: a displacement (n_dofs,) of the finest level, zero if none is given."""
-    if not hierarchy.discretised:
-        return Past([displacement], displacement, given)
-    if not given:
-        return Past([np.zeros(level.discrete.n_dofs) for level in hierarchy.levels], displacement, given)
-    return Past(coarse_displacements(hierarchy, displacement), displacement, given)
-
-
 def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list[np.ndarray]:
-    """A displacement of the finest level on all levels: each next coarser one that interpolates it best."""
+    """Return a displacement of the finest level on all discretised ones: the next coarser ones that interpolate it
+    best."""
     result = [displacement]
-    for level in reversed(hierarchy.levels[1:]):
+    for level in reversed(hierarchy.levels[1:] if hierarchy.discretised else ()):
         columns = result[0].reshape(level.n_nodes, -1).T
         nodal = [lsmr(level.prolongation, column, atol=1e-8, btol=1e-8)[0] for column in columns]
         result.insert(0, np.stack(nodal, axis=1).reshape(-1))

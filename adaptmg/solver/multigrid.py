@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -32,24 +32,6 @@ from adaptmg.solver.truncated import Truncated, TruncatedRun
 _LOG = logging.getLogger(__name__)
 
 
-class Method(Protocol):
-    """One run of a multigrid method."""
-
-    def from_given(self, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level from a displacement (n_nodes, dim), between bodies relative, or from zero."""
-
-    def from_nested(self, start: NestedStart) -> Outcome:
-        """Solve level by level from the coarsest."""
-
-
-@runtime_checkable
-class CustomCycles(Protocol):
-    """A user-defined correction that brings its cycles."""
-
-    def method(self, options: Multigrid, hierarchy: Hierarchy, run: Run) -> Method:
-        """Return what runs a :class:`Multigrid` with this correction."""
-
-
 #: the options of the method with projected sweeps on all levels, where they are not given
 PROJECTED: dict[str, Any] = {"cycle": Cycle(), "smoother": ProjectedGaussSeidel(), "coarse": CoarseSolve(),
                              "coarse_matrices": "galerkin", "stop": "error"}
@@ -62,9 +44,9 @@ class Multigrid:
     Parameters
     ----------
     correction : Truncated, Monotone, PaperCorrection or user-defined
-        Anything with ``transport`` and ``needs_initial`` (:class:`~adaptmg.multigrid.cycle.Correction`), or with
-        ``method(options, hierarchy, run)``, which brings its cycles (:class:`CustomCycles`). Default: Truncated(),
-        which defines cycle, smoother, coarse solve and stopping test itself: the next five options are refused.
+        Anything with ``transport`` and ``needs_initial`` (:class:`~adaptmg.multigrid.cycle.Correction`).
+        Default: Truncated(), which defines cycle, smoother, coarse solve and stopping test itself: the next five
+        options are refused.
         A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
         iteration first, and starts from zero all the same; the work is counted.
     cycle : Cycle, optional
@@ -96,7 +78,7 @@ class Multigrid:
 
     cycle: Cycle | None = None
     smoother: Smoother | None = None
-    correction: Correction | CustomCycles | Truncated = field(default_factory=Truncated)
+    correction: Correction | Truncated = field(default_factory=Truncated)
     coarse: CoarseSolve | None = None
     coarse_matrices: str | None = None
     stop: str | None = None
@@ -106,55 +88,46 @@ class Multigrid:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        self._check_correction()
-        given = {name: getattr(self, name) for name in PROJECTED if getattr(self, name) is not None}
-        if given and isinstance(self.correction, Truncated):
-            name, value = next(iter(given.items()))
+        truncated = isinstance(self.correction, Truncated)
+        if not truncated:
+            checks.offers("correction", self.correction, "transport",
+                          "Monotone(), Truncated(), PaperCorrection() or offer transport and needs_initial")
+            checks.flag(f"needs_initial of correction {checks.shown(self.correction)}",
+                        getattr(self.correction, "needs_initial", None))
+        named = self._named
+        if truncated and named:
+            name, value = next(iter(named.items()))
             raise ValueError(f"{name} must not be given with the correction Truncated(), which defines its own, got "
                              f"{checks.shown(value)}: give correction=am.Monotone()")
-        options = PROJECTED | given
+        options = PROJECTED | named
         checks.instance("cycle", options["cycle"], Cycle, "a Cycle")
         checks.offers("smoother", options["smoother"], "smooth",
                       "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes")
         checks.instance("coarse", options["coarse"], CoarseSolve, "a CoarseSolve")
         checks.choice("coarse_matrices", options["coarse_matrices"], ("galerkin", "discretised"))
         checks.choice("stop", options["stop"], ("error", "change"))
-        self._check_rtol()
-        checks.integer("max_cycles", self.max_cycles, 1)
-
-    def _check_correction(self) -> None:
-        if isinstance(self.correction, type):
-            raise TypeError(f"correction must be an instance, got {checks.described(self.correction)}")
-        if not isinstance(self.correction, Truncated | CustomCycles):
-            words = "Monotone(), Truncated(), PaperCorrection() or offer transport and needs_initial"
-            checks.offers("correction", self.correction, "transport", words)
-            checks.flag(f"needs_initial of correction {checks.shown(self.correction)}",
-                        getattr(self.correction, "needs_initial", None))
-
-    def _check_rtol(self) -> None:
         if not isinstance(self.rtol, str):
             object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         elif self.rtol != "discretisation":
             raise ValueError(f"rtol must be a number > 0 and < 1 or 'discretisation', got {checks.shown(self.rtol)}")
-        elif not (isinstance(self, FullMultigrid) and isinstance(self.correction, Truncated)):
+        elif not (isinstance(self, FullMultigrid) and truncated):
             raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
                              "shows the discretisation error")
+        checks.integer("max_cycles", self.max_cycles, 1)
+
+    @property
+    def _named(self) -> dict[str, Any]:
+        """The options of the projected method that the user gives."""
+        return {name: value for name in PROJECTED if (value := getattr(self, name)) is not None}
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         return self._method(hierarchy, run).from_given(start)
 
-    def _method(self, hierarchy: Hierarchy, run: Run) -> Method:
+    def _method(self, hierarchy: Hierarchy, run: Run) -> TruncatedRun | ProjectedRun:
         if isinstance(self.correction, Truncated):
             return TruncatedRun(self.correction, hierarchy, run, self.rtol, self.max_cycles)
-        if not isinstance(self.correction, CustomCycles):
-            given = {name: value for name in PROJECTED if (value := getattr(self, name)) is not None}
-            return ProjectedRun(hierarchy=hierarchy, run=run, correction=self.correction, rtol=self.rtol,
-                                max_cycles=self.max_cycles, **PROJECTED | given)
-        method = self.correction.method(self, hierarchy, run)
-        for name in ("from_given", "from_nested"):
-            checks.offers(f"correction: what the method of {checks.shown(self.correction)} returns", method, name,
-                          "an object that offers from_given(start) and from_nested(start)")
-        return method
+        return ProjectedRun(hierarchy=hierarchy, run=run, correction=self.correction, rtol=self.rtol,
+                            max_cycles=self.max_cycles, **PROJECTED | self._named)
 
 
 @dataclass(frozen=True, kw_only=True)

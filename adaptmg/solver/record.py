@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -13,7 +12,6 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._numba import clock, compiling_seconds
-from adaptmg._text import say
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.examine import Examined
 
@@ -51,11 +49,6 @@ class Status(Enum):
         return self is Status.CONVERGED
 
 
-#: what is done in a phase, for progress
-PHASES = {"statics": "checking supports and loads", "setup": "setting up the levels", "start": "nested start",
-          "factorise": "factorising", "certificate": "checking the result"}
-
-
 @dataclass
 class Run:
     """What a solver writes while it runs."""
@@ -74,7 +67,6 @@ class Run:
     fallback: str = ""  # the method that took over, and from which cycle; empty if none did
     examiner: Callable[[np.ndarray, float, np.ndarray | None], Examined] | None = None
     pressures: np.ndarray | None = None  # (n_groups,): of the start, where the problem has volumes, Pa
-    progress: bool = False  # say what is done if it takes more than 2 s
     _nested_seconds: float = 0.0
     _compiled: float = field(default_factory=compiling_seconds)
 
@@ -112,14 +104,9 @@ class Run:
         """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ...; inner ones apart."""
         begin, untimed, outside = clock(), self.untimed_seconds, self._nested_seconds
         self._nested_seconds = 0.0
-        waiting = threading.Timer(2.0, say, (f"{PHASES[name]} ...",)) if self.progress and name in PHASES else None
-        if waiting:
-            waiting.start()
         try:
             yield
         finally:
-            if waiting:
-                waiting.cancel()
             compiled, self._compiled = compiling_seconds() - self._compiled, compiling_seconds()
             if compiled:
                 self.timings["compiling"] = self.timings.get("compiling", 0.0) + compiled

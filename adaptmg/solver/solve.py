@@ -75,7 +75,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     callback : callable, optional
         Called with each row of the history (a dict), for progress bars.
     progress : bool
-        Write a line a cycle to standard error, and one for each other part that takes more than 2 s.
+        Write a line a cycle to standard error.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     exact = displacement_argument("reference", reference, discrete)
     first = displacement_argument("start", start, discrete)
     run = Run(unit=discrete.matrix.nnz, callback=_watched(callback, progress), reference=exact,
-              timings={} if grids is given else dict(grids.timings), progress=progress,
+              timings={} if grids is given else dict(grids.timings),
               pressures=pressures_argument(start, discrete))
     _LOG.debug("nodes of the levels: %s (%s)", ", ".join(str(level.n_nodes) for level in grids.levels), grids.origin)
     with run.phase("statics"):

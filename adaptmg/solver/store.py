@@ -299,8 +299,7 @@ class StepStore:
 
 
 def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Mapping[str, np.ndarray], steps: int,
-                parts: Mapping[str, object], start: np.ndarray | None = None,
-                depends: Mapping[str, object] | None = None) -> dict[str, object]:
+                parts: Mapping[str, object], depends: Mapping[str, object] | None = None) -> dict[str, object]:
     """Return what the steps depend on, as plain values by the names that messages give them."""
     depends = checks.instance("depends", {} if depends is None else depends, Mapping, "a mapping of names to values")
     finest, contact = grids.finest.discrete, grids.finest.discrete.contact
@@ -316,7 +315,6 @@ def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Ma
         "contact": [_sums(part) for part in (contact.nodes, contact.normals, contact.gaps, contact.weights)],
         "law": [_sums(part) for part in finest.law.bounds(len(contact))],
         "path": {"steps": steps} | {name: list(map(float, values)) for name, values in factors.items()},
-        "start": None if start is None else _sums(start),
     } | value_parts(parts, depends)
 
 

@@ -232,10 +232,6 @@ def test_what_cannot_be_found_is_refused():
     grids, *_ = turned_block(np.random.default_rng(1), rigid((0.0, -1.0)))
     with pytest.raises(ValueError, match="start must be None"):
         am.solve(grids, start=np.zeros((grids.finest.n_nodes, 2)))
-    moved, *_ = turned_block(np.random.default_rng(1), lambda place, vector: am.Moving(
-        plane(place), displacement=vector(np.array([0.0, -1e-3]))))
-    with pytest.raises(ValueError, match="start must be None: where obstacles were"):
-        am.solve_path(moved, am.LoadPath(), start=am.solve(moved))
     with pytest.raises(ValueError, match="Rigid obstacle or a Preload"):
         am.adapt(grids.problem, max_nodes=100)
     free = am.ContactProblem(

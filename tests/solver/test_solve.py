@@ -2,8 +2,7 @@
 
 import gc
 import weakref
-from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -194,38 +193,6 @@ def test_at_the_limit_of_cycles_the_certificate_decides(last, status):
     """After a refusal the test asks for more than rtol, and the cycles may end before."""
     answers = [3.0, last]
     assert iterate(Halving(), StopTest(1e-3, 11, lambda rtol: answers.pop(0))) is status and not answers
-
-
-@dataclass
-class ActiveSetInDisguise:
-    """A correction with cycles of its own."""
-
-    def method(self, options, hierarchy, run):
-        self.options, self.hierarchy, self.given = options, hierarchy, run
-        return self
-
-    def from_given(self, start):
-        return am.ActiveSet(rtol=self.options.rtol).run(self.hierarchy, self.given, start)
-
-    def from_nested(self, start):
-        assert isinstance(start, am.NestedStart)
-        return replace(self.from_given(None), cycles=1)
-
-
-def test_a_correction_may_bring_cycles_of_its_own(two_levels):
-    correction = ActiveSetInDisguise()
-    exact = am.solve(two_levels, am.ActiveSet(rtol=1e-12)).displacement
-    for solver in (am.Multigrid(correction=correction), am.FullMultigrid(correction=correction)):
-        result = am.solve(two_levels, solver)
-        assert np.abs(result.displacement - exact).max() < 1e-10 * np.abs(exact).max()
-    assert result.cycles == 1
-    # load steps start it again
-    path, expected = (am.solve_path(two_levels, am.LoadPath(default=[0.5, 1.0]), solver)[-1].displacement
-                      for solver in (am.FullMultigrid(correction=correction), am.ActiveSet(rtol=1e-12)))
-    assert np.allclose(path, expected, rtol=1e-8, atol=1e-15)
-    wrong = SimpleNamespace(method=lambda options, hierarchy, run: 5)
-    with pytest.raises(TypeError, match="from_given"):
-        am.solve(two_levels, am.Multigrid(correction=wrong))
 
 
 CASES = {"bar": am.cases.greco_bar, "block": am.cases.greco_block}
