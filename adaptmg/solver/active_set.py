@@ -96,24 +96,20 @@ class ActiveSet:
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         if hierarchy.finest.discrete.volumes is not None:
             return self._augmented(hierarchy, run, start)
-        nested = self.nested_start and start is None
-        if nested:
+        first, last = len(hierarchy) - 1, len(hierarchy) - 1
+        if self.nested_start and start is None:
             hierarchy.need_discretised("the nested start of ActiveSet")
-        first = 0 if nested else len(hierarchy) - 1
-        for number in range(first, len(hierarchy)):
-            level, finest = hierarchy[number], number == len(hierarchy) - 1
+            first = 0
+        for number in range(first, last + 1):
+            level = hierarchy[number]
             if start is not None and number > first:
                 start = level.prolongation @ start
                 run.visit(number, "start")
             with run.phase("factorise" if self.condensed else "setup"):
                 condensed = condense_problem(level.discrete) if self.condensed else None
                 local = local_system(level.discrete) if condensed is None else condensed.full
-            newton = _Newton(self, local, run, number, None if start is None else local.to_local(start),
-                             Measure(local, run if finest else None), condensed)
-            stop = _NewtonTest(self.rtol, self.max_steps, newton.shortfall if finest else None, stalled=None)
-            if finest:
-                run.start_work_units = run.work_units
-            status = iterate(newton, stop, run if finest else None)
+            newton = _Newton(self, local, run, number, start, condensed, finest=number == last)
+            status, stop = newton.solve(certified=number == last)
             start = local.to_cartesian(newton.unknowns)
         return Outcome(start, status, newton.cycles, self.rtol, stop.error_estimate, stop.rate)
 
@@ -128,19 +124,16 @@ class ActiveSet:
             first = local_system(Augmented(problem, pressures).problem)
         with run.phase("factorise"):
             condensed = condense(first) if self.condensed else None
-        run.start_work_units = run.work_units
         for solve in range(Augmented.MOST):
             augmented = Augmented(problem, pressures)
             local = local_system(augmented.problem, first.system)
             factors = None if condensed is None else replace(condensed, full=local)
-            newton = _Newton(self, local, run, number, None if start is None else local.to_local(start),
-                             Measure(local, run), factors, augmented.pressures)
             # a given start fits another load
             done = solve > 0 and augmented.missed(start) <= self.rtol
             last = augmented.exact or done or solve == Augmented.MOST - 1
-            stop = _NewtonTest(self.rtol, self.max_steps, newton.shortfall if last else None, stalled=None)
+            newton = _Newton(self, local, run, number, start, factors, finest=True, pressures=augmented.pressures)
             run.first_cycle += cycles
-            status = iterate(newton, stop, run)
+            status, stop = newton.solve(certified=last)
             run.first_cycle, cycles = run.first_cycle - cycles, cycles + newton.cycles
             start = local.to_cartesian(newton.unknowns)
             pressures = augmented.pressures(start)
@@ -179,21 +172,29 @@ class _Newton:
     #: augmentation c over the diagonal of the matrix: it weighs gaps against forces where a status is decided
     FACTOR = 0.1
 
-    def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int,
-                 start: np.ndarray | None, measure: Measure, condensed: Condensed | None = None,
+    def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int, start: np.ndarray | None,
+                 condensed: Condensed | None = None, finest: bool = False,
                  pressures: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
-        self.options, self.local, self.run, self.level, self._measure = options, local, run, level, measure
+        self.options, self.local, self.run, self.level, self.finest = options, local, run, level, finest
+        self._measure, self._pressures = Measure(local, run if finest else None), pressures
         self.equations_of: SparseSteps | CondensedSteps = (
             SparseSteps(local, options.linear, run) if condensed is None else CondensedSteps(condensed, run))
-        self._pressures = pressures
-        self.unknowns = np.zeros(local.system.n_dofs) if start is None else start
+        self.unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
         self.cycles, self._hold_first = 0, start is None and options.start == "held"
         self._from_inside = start is None and options.start == "interior" and len(local.contact.gap) > 0
         self._tolerances = list(self.TOLERANCES)
         self._seen, self._last, self._since = set[bytes](), b"", 0  # states of the steps before, and their number
         self._equations: Linearised | None = None
 
-    def shortfall(self, rtol: float) -> float:
+    def solve(self, certified: bool) -> tuple[Status, StopTest]:
+        """Iterate, on the finest level under the eyes of the run, in the end (if ``certified``) of the certificate."""
+        stop = _NewtonTest(self.options.rtol, self.options.max_steps, self._shortfall if certified else None,
+                           stalled=None)
+        if self.finest and not self.run.history:
+            self.run.start_work_units = self.run.work_units
+        return iterate(self, stop, self.run if self.finest else None), stop
+
+    def _shortfall(self, rtol: float) -> float:
         solved = self.local.to_cartesian(self.unknowns)
         return self.run.shortfall(solved, rtol, None if self._pressures is None else self._pressures(solved))
 
@@ -456,10 +457,9 @@ def coarsest_solution(problem: DiscreteProblem, rtol: float, start: np.ndarray |
         augmented = Augmented(problem, None)
         solution, _, steps, passes = coarsest_solution(augmented.problem, rtol)
         return solution, augmented.pressures(solution), steps, passes
-    options, condensed = ActiveSet(rtol=rtol), condense_problem(problem, lenient=True)
+    condensed = condense_problem(problem, lenient=True)
     local = condensed.full
     run = Run(unit=local.system.nonzeros)
-    near = None if start is None else local.to_local(start)
-    newton = _Newton(options, local, run, 0, near, Measure(local), condensed)
-    iterate(newton, _NewtonTest(rtol, options.max_steps, stalled=None))
+    newton = _Newton(ActiveSet(rtol=rtol), local, run, 0, start, condensed)
+    newton.solve(certified=False)
     return local.to_cartesian(newton.unknowns), None, newton.cycles, run.work_units

@@ -89,33 +89,23 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
     span, young = max(float(np.ptp(x)) for x in mesh.points.T), max(one.young for one in materials)
     if span > SPAN and (young >= METAL or IN_MPA[0] <= young <= IN_MPA[1]):
         advise("units", f"the bodies span {span:g} m, with young up to {young:g} Pa: are these lengths in mm"
-               f"{'' if young >= METAL else ' and moduli in N/mm^2'}? adaptmg takes m, N and Pa: scale the domain by "
-               "1e-3" + ("" if young >= METAL else ", moduli and pressures by 1e6"))
+               f"{'' if young >= METAL else ' and moduli in N/mm^2'}? adaptmg takes m, N and Pa")
 
 
-def advise_on_result(problem: ContactProblem | None, result: Result, contact: bool = True) -> None:
-    """Warn of large strains, of large slips, and (if ``contact``) of bodies that cannot meet."""
-    if not result.status.ok:
-        return
-    if contact:
-        _advise_on_contact([result])
-    if problem is not None and result.mesh_or_none is not None:
-        _advise_on_strains(problem, result.mesh, result)
-        _advise_on_slips(problem, result.mesh, result)
-
-
-def advise_on_path(problem: ContactProblem | None, results: Sequence[Result]) -> None:
-    """Warn of what any step of a load path shows; bodies cannot meet if they do not in any of them."""
-    if all(result.status.ok for result in results):
+def advise_on_results(problem: ContactProblem | None, results: Sequence[Result]) -> None:
+    """Warn of bodies that cannot meet in any of these steps, of large strains and of large slips."""
+    results = [result for result in results if result.status.ok]
+    if results:
         _advise_on_contact(results)
     for result in results:
-        advise_on_result(problem, result, contact=False)
+        if problem is not None and result.mesh_or_none is not None:
+            _advise_on_strains(problem, result.mesh, result)
+            _advise_on_slips(problem, result.mesh, result)
 
 
 def _advise_on_contact(results: Sequence[Result]) -> None:
     contact = results[0].contact
-    squares = [np.einsum("nd,nd->n", result.displacement, result.displacement) for result in results]
-    moved = max(float(np.sqrt(of_nodes.max(initial=0.0))) for of_nodes in squares)
+    moved = max(float(np.linalg.norm(result.displacement, axis=1).max(initial=0.0)) for result in results)
     for k, name in enumerate(contact.names):
         at = contact.boundary == k
         least = min(float(result.contact.gap[at].min(initial=np.inf)) for result in results)
@@ -128,16 +118,14 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
 
 
 def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
-    materials = body_materials(mesh, problem.material)
-    stiffness = [one.least_stiffness for one in materials]
-    volume = mesh.volumes
+    materials, volume = body_materials(mesh, problem.material), mesh.volumes
     if problem.axisymmetric:
         volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
     bodies = np.bincount(mesh.element_body, volume, len(mesh.bodies))
-    # the energy u'Au is at least that of these strains (smoothed elements: of their means around edges) in that volume:
-    # rarely do they have to be computed
-    stressed = result.checked is not None and not any(isinstance(load, InitialStrain) for load in problem.loads)
-    if stressed and result.checked.energy_norm**2 < STRAIN**2 * SHARE * (stiffness * bodies).min():
+    # the energy u'Au is at least that of these strains in that volume: rarely do they have to be computed
+    energy = STRAIN**2 * SHARE * min(one.least_stiffness * body for one, body in zip(materials, bodies, strict=True))
+    stressed = not any(isinstance(load, InitialStrain) for load in problem.loads)
+    if stressed and result.checked is not None and result.checked.energy_norm**2 < energy:
         return
     size = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
     if problem.axisymmetric:
@@ -158,13 +146,11 @@ def _advise_on_slips(problem: ContactProblem, mesh: MeshArrays, result: Result) 
             continue  # it is the same everywhere
         at = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
         facets = mesh.boundary_facets(posed.boundary)
-        corners = mesh.points[facets]
+        corners, element = mesh.points[facets], np.zeros(mesh.n_nodes)
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        element = np.zeros(mesh.n_nodes)
         np.maximum.at(element, facets, edges[:, None])
         extent = np.linalg.norm(np.ptp(corners.reshape(-1, mesh.dim), axis=0))
-        slip = np.linalg.norm(contact.u_t[at], axis=1)
-        most = np.maximum(element[contact.node[at]], SLID * extent)
+        slip, most = np.linalg.norm(contact.u_t[at], axis=1), np.maximum(element[contact.node[at]], SLID * extent)
         if (slip > most).any():
             i = int(np.argmax(slip - most))
             advise("slip", f"contact {posed.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most[i]:.3g} "

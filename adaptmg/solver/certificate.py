@@ -85,10 +85,11 @@ class Certificate:
 
     @property
     def worst(self) -> Condition:
+        """Return the condition that is violated most, relative to its scale."""
         return max(self.lines, key=lambda line: np.inf if np.isnan(line.relative) else line.relative)
 
     def contradictions(self, rtol: float, energy_factor: float = ENERGY_FACTOR) -> tuple[str, ...]:
-        """Names of what a displacement that has converged to ``rtol`` would not violate so much."""
+        """Return the names of what a displacement that has converged to ``rtol`` would not violate so much."""
         def beyond(value: float, allowed: float, rounding: float) -> bool:
             return not value <= max(allowed, min(rounding, self.MOST_ROUNDING))
         found = [line.name for line in self.lines if beyond(line.relative, self.FACTOR * rtol, line.rounding)]
@@ -206,7 +207,7 @@ class Evidence:
         self.energy_rounding = 32 * _EPSILON * float(np.sqrt(_sum(terms, np.abs(self.u))))
     @property
     def idle(self) -> bool:
-        """Whether all forces are rounding: bodies that their supports move and nothing strains."""
+        """Return whether all forces are rounding: bodies that their supports move and nothing strains."""
         moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
         return moved > 0.0 and self.force <= 1e3 * self.rounding and self.length <= 10 * moved
 
@@ -245,7 +246,7 @@ class Evidence:
         return self._forces("equilibrium", self.left)
 
     def volumes(self) -> tuple[Condition, ...]:
-        """What the mean volume strains of groups and their pressures miss, as forces on a facet."""
+        """Return what the mean volume strains of groups and their pressures miss, as forces on a facet."""
         if self.problem.volumes is None:
             return ()
         volumes = self.problem.volumes
@@ -257,10 +258,10 @@ class Evidence:
         return self._lengths("prescribed values", missed[self.problem.fixed])
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
-        """Penetration, tension, complementarity."""
+        """Return penetration, tension, complementarity."""
         pulling = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
         # each in its scale: a force of rounding times a gap of a thousand displacements is not work of contact
-        both = np.minimum(_shares(self.pressure, self.force), _shares(self.gap, self.length))
+        both = np.maximum(np.minimum(self.pressure / (self.force or 1.0), self.gap / (self.length or 1.0)), 0.0)
         complementarity = Condition("complementarity", float(both.max(initial=0.0)), _norm(both), "", _norm(both),
                                     _over(self.rounding, self.force) + 16 * _EPSILON)
         return (self._lengths("penetration", np.maximum(-self.gap, 0.0)),
@@ -268,7 +269,7 @@ class Evidence:
                 complementarity)
 
     def tangential(self) -> tuple[Condition, Condition, Condition]:
-        """Friction beyond its bound, and not opposite to the slip."""
+        """Return friction beyond its bound, and not opposite to the slip."""
         size, slip = np.linalg.norm(self.friction, axis=1), np.linalg.norm(self.slip, axis=1)
         along = np.einsum("nd,nd->n", self.friction, self.slip)
         excess, works = np.maximum(size - self.bound, 0.0), np.maximum(self.bound * slip + along, 0.0)
@@ -278,13 +279,14 @@ class Evidence:
                 self._lengths("slip along the force", same_way))
 
     def states(self) -> tuple[Condition, Condition, Condition]:
+        """Return what contradicts the claimed states."""
         state, slip = np.asarray(self.contact.state), np.linalg.norm(self.slip, axis=1)
         return (self._forces("open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)),
                 self._lengths("touching, open", np.where(state != _OPEN, np.maximum(self.gap, 0.0), 0.0)),
                 self._lengths("slip, sticking", np.where(state == _STICK, slip, 0.0)))
 
     def balance(self) -> Condition:
-        """Sum of loads, supports, claimed contact forces and elastic foundations: what free dofs leave unexplained."""
+        """Return the sum of loads, supports, claimed contact forces and foundations: what free dofs do not explain."""
         sums = self.left.sum(axis=0)
         total = float(np.linalg.norm(sums))
         # n roundings of random sign
@@ -391,11 +393,6 @@ def _directions(vectors: np.ndarray) -> np.ndarray:
 def _along(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Normal components (n,)."""
     return np.einsum("nd,nd->n", vectors, normals)
-
-
-def _shares(values: np.ndarray, scale: float) -> np.ndarray:
-    """What is positive, over a scale."""
-    return np.maximum(values, 0.0) / (scale or 1.0)
 
 
 def _over(value: float, scale: float) -> float:

@@ -30,8 +30,6 @@ from adaptmg.smoother.system import (
     OPEN,
     SLIP,
     STICK,
-    ContactState,
-    NodalContact,
     contact_blocks,
     held_tangents,
     local_contact,
@@ -227,9 +225,8 @@ class Examiner:
         self._last: tuple[np.ndarray, np.ndarray | None, Examined] | None = None
 
     def relative_residual(self, solved: np.ndarray, pressures: np.ndarray | None = None) -> float:
-        """Natural residual of a displacement (n_dofs,), relative coordinates, over the forces that act. The largest of
-        load, contact forces and, where displacements are prescribed, reactions, in Euclidean norms; 1 if it is all
-        there is."""
+        """Return the natural residual of a displacement (n_dofs,) over the forces that act, in Euclidean norms; 1 if
+        it is all there is."""
         solved = np.asarray(solved, dtype=np.float64).reshape(-1)
         return self._residual(solved, self.discrete.under(pressures).load - self.discrete.matrix @ solved, pressures)
 
@@ -268,79 +265,65 @@ class Examiner:
             return self._last[2]
         discrete, self._last = self.discrete, None
         residual = discrete.under(pressures).load - discrete.matrix @ solved
-        nodal = solved.reshape(discrete.n_nodes, discrete.dim)
-        displacement = discrete.physical(nodal)
-        contact = contact_result(discrete, self.contact, self.frames, self.held, nodal, self._values(solved),
-                                 -self._at_contact(residual))
+        displacement = discrete.physical(solved.reshape(discrete.n_nodes, discrete.dim))
+        contact = self._contact_result(solved, residual)
         natural = self._residual(solved, residual, pressures)
         checked = certify(discrete, displacement, contact, rtol=rtol, pressures=pressures)
         residual = -residual
         if discrete.inclined is not None:
             residual += discrete.inclined.reaction(solved)
         ties = tie_forces(discrete, residual)
-        reaction = discrete.physical_forces(residual).reshape(nodal.shape)
+        reaction = discrete.physical_forces(residual).reshape(displacement.shape)
         found = Examined(displacement, reaction, contact, ties, natural, checked)
         self._last = solved, pressures, found
         return found
 
-
-def contact_result(discrete: DiscreteProblem, nodal: NodalContact, frames: np.ndarray, held: np.ndarray,
-                   solved: np.ndarray, values: np.ndarray, force: np.ndarray) -> ContactResult:
-    """Contact quantities at a solution. Where a support holds a tangential component, the equations do not tell
-    friction from the reaction of the support: there it is what the law says for the slip, and nothing if nothing
-    slips."""
-    contact, small = discrete.contact, 1e-12 * max(solved.max(initial=0.0), -solved.min(initial=0.0))
-    u = to_frames(frames, discrete.at_contact(solved))
-    slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
-    force_n, force_t = np.maximum(-force[:, 0], 0.0), np.where(held, 0.0, force[:, 1:])
-    limit = nodal.limit + nodal.friction * force_n
-    state = states(nodal, values, force_n, small)
-    _friction_at_supports(held, slip, limit, small, force_t, state)
-    weights = None if discrete.coupling is None else discrete.coupling.weights[contact.nodes]
-    x = np.full(contact.normals.shape, np.nan) if discrete.coordinates is None else discrete.coordinates[contact.nodes]
-    carried = from_frames(frames, np.column_stack([-force_n, force_t]))
-    boundary, node, on_masters = _on_followed(discrete, contact.boundary, weights, carried)
-    return ContactResult(node=contact.nodes, x=x, frames=frames.copy(), gap=contact.gaps - u[:, 0], u_n=u[:, 0],
-                         u_t=u[:, 1:], slip=slip, force_n=force_n, force_t=force_t, weights=contact.weights,
-                         limit=limit, state=state, boundary=contact.boundary, names=contact.names,
-                         masters=contact.masters, master_node=node, master_force=on_masters, master_boundary=boundary)
-
-
-def _friction_at_supports(held: np.ndarray, slip: np.ndarray, limit: np.ndarray, small: float, force_t: np.ndarray,
-                          state: np.ndarray) -> None:
-    """Friction along held tangents (n, dim - 1) and the states of their nodes, in place."""
-    size = np.linalg.norm(slip, axis=1)
-    slides = held.any(axis=1) & (size > small)
-    direction = np.divide(slip, size[:, None], out=np.zeros_like(slip), where=slides[:, None])
-    force_t[held] = (-limit[:, None] * direction)[held]
-    state[slides & (state == ContactState.STICK)] = ContactState.SLIP
+    def _contact_result(self, solved: np.ndarray, residual: np.ndarray) -> ContactResult:
+        """Contact quantities at a solution (n_dofs,). Where a support holds a tangential component, the equations do
+        not tell friction from the reaction of the support: there it is what the law says for the slip, and nothing if
+        nothing slips."""
+        discrete, frames, held, contact = self.discrete, self.frames, self.held, self.discrete.contact
+        small = 1e-12 * np.abs(solved).max(initial=0.0)
+        u = to_frames(frames, discrete.at_contact(solved.reshape(discrete.n_nodes, discrete.dim)))
+        slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
+        force = self._at_contact(residual)
+        force_n, force_t = np.maximum(force[:, 0], 0.0), np.where(held, 0.0, -force[:, 1:])
+        limit = self.contact.limit + self.contact.friction * force_n
+        state = states(self.contact, self._values(solved), force_n, small)
+        size = np.linalg.norm(slip, axis=1)
+        slides = held.any(axis=1) & (size > small)
+        direction = np.divide(slip, size[:, None], out=np.zeros_like(slip), where=slides[:, None])
+        force_t[held] = (-limit[:, None] * direction)[held]
+        state[slides & (state == STICK)] = SLIP
+        x = discrete.coordinates
+        node, on_masters, boundary = _on_followed(
+            discrete, from_frames(frames, np.column_stack([-force_n, force_t])))
+        return ContactResult(
+            node=contact.nodes, x=np.full(contact.normals.shape, np.nan) if x is None else x[contact.nodes],
+            frames=frames.copy(), gap=contact.gaps - u[:, 0], u_n=u[:, 0], u_t=u[:, 1:], slip=slip, force_n=force_n,
+            force_t=force_t, weights=contact.weights, limit=limit, state=state, boundary=contact.boundary,
+            names=contact.names, masters=contact.masters, master_node=node, master_force=on_masters,
+            master_boundary=boundary)
 
 
-def _on_followed(discrete: DiscreteProblem, boundary: np.ndarray, rows: sparse.csr_array | None, forces: np.ndarray
-                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What contact forces (n_contact, dim) exert on the nodes that slave nodes follow, -W' times them, by boundary.
-    ``rows`` (n_contact, n_nodes) are the weights W. Where both bodies are held, held nodes of the other one take
-    all."""
-    dim, n = discrete.dim, discrete.n_nodes
-    if rows is None:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, dim))
-    keys, parts = [], []
-    held = {c: (at, weights) for at, weights, c in discrete.held_together()}
-    for c in range(dim):
-        weights, (at, instead) = rows, held[c]
-        if len(at):
-            others = np.ones(len(boundary))
-            others[at] = 0.0
-            place = sparse.csr_array((np.ones(len(at)), (at, np.arange(len(at)))), shape=(len(boundary), len(at)))
-            weights = sparse.csr_array(sparse.diags_array(others, format="csr") @ rows + place @ instead)
-        of = np.repeat(np.arange(len(boundary)), np.diff(weights.indptr))
-        keys.append(boundary[of] * n + weights.indices)
-        part = np.zeros((len(of), dim))
-        part[:, c] = -weights.data * forces[of, c]
-        parts.append(part)
-    key, place = np.unique(np.concatenate(keys), return_inverse=True)
-    total = np.column_stack([np.bincount(place, part, minlength=len(key)) for part in np.concatenate(parts).T])
-    return key // n, key % n, total
+def _on_followed(discrete: DiscreteProblem, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes that slave nodes follow, what contact forces (n_contact, dim) exert on them, -W' times them, and their
+    boundaries. Where both bodies are held, held nodes of the other one take all."""
+    contact, dim = discrete.contact, discrete.dim
+    found = [(np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, dtype=np.int64))]
+    weights = []
+    for at, instead, _ in discrete.held_together():
+        place = np.arange(len(contact))
+        place[at] = len(contact) + np.arange(len(at))
+        weights.append(sparse.vstack([discrete.coupling.weights[contact.nodes], instead], format="csr")[place])
+    for k in np.unique(contact.boundary) if weights else ():
+        mine = np.flatnonzero(contact.boundary == k)
+        rows = [of_component[mine] for of_component in weights]
+        node = np.unique(np.concatenate([one.indices for one in rows]))
+        exerted = [-(one.T @ force)[node] for one, force in zip(rows, forces[mine].T, strict=True)]
+        found.append((node.astype(np.int64), np.column_stack(exerted), np.full(len(node), k)))
+    node, exerted, boundary = zip(*found, strict=True)
+    return np.concatenate(node), np.concatenate(exerted), np.concatenate(boundary)
 
 
 #: a natural residual below this share of the terms it sums is rounding
@@ -348,18 +331,18 @@ ROUNDING = 8 * np.finfo(float).eps
 
 
 def energy_norm(unknowns: np.ndarray, forces: np.ndarray) -> float:
-    """sqrt(w' A w) from w and A w, 0 where rounding makes it negative."""
+    """Return sqrt(w' A w) from w and A w, 0 where rounding makes it negative."""
     # not through BLAS: its threads cost more than a short dot product gains, several times over on a busy machine
     return float(np.sqrt(max(float(np.einsum("i,i->", unknowns, forces)), 0.0)))
 
 
 def euclidean_norm(vector: np.ndarray) -> float:
-    """|v| of a flat vector, on one thread."""
+    """Return |v| of a flat vector, on one thread."""
     return energy_norm(vector, vector)
 
 
 def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> float:
-    """||u||_A of the stresses of a displacement (n_dofs,), prescribed values included; Cartesian, between bodies
+    """Return ||u||_A of the stresses of a displacement (n_dofs,), prescribed values included; between bodies
     relative."""
     flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
     return float(np.sqrt(problem.stress_energy(flat, energy_norm(flat, problem.matrix @ flat) ** 2)))
@@ -382,15 +365,14 @@ class Sizes:
         self._lift = lift if frames is None else rotate(lift, frames, problem.contact.nodes)
 
     def nothing_strains(self, forces: float, rounding: float, unknowns: np.ndarray) -> bool:
-        """Whether all forces are rounding: bodies that their supports move, and nothing strains or holds. Nothing is
-        relative to such forces. Unknowns that have run away have such forces too, but move further than the supports
-        do."""
+        """Return whether all forces are rounding: bodies that their supports move, and nothing strains or holds.
+        Unknowns that have run away have such forces too, but move further than the supports do."""
         if not self.prescribed or forces > self.IDLE * rounding:
             return False
         return bool(np.abs(unknowns).max(initial=0.0) <= 10 * np.abs(self._problem.fixed_values).max())
 
     def norm(self, unknowns: np.ndarray, energy: float) -> float:
-        """||u||_A of the stresses, from the unknowns w (n_dofs,), zero at fixed dofs, and w'Aw (N m)."""
+        """Return ||u||_A of the stresses, from the unknowns w (n_dofs,), zero at fixed dofs, and w'Aw (N m)."""
         if self.prescribed:
             energy += 2 * float(np.einsum("i,i->", unknowns, self._lift)) + self._jump
         if self._problem.strain_free is not None:
@@ -398,7 +380,7 @@ class Sizes:
         return float(np.sqrt(max(energy, 0.0)))
 
     def forces(self, unknowns: np.ndarray, contact: float) -> float:
-        """The largest of the norms of load, contact forces (given, N) and, where values are prescribed, reactions."""
+        """Return the largest norm of load, contact forces (norm ``contact``, N) and reactions at prescribed values."""
         if not self.prescribed:
             return max(self.load, contact)
         return max(self.load, contact, euclidean_norm(self._rows @ self._cartesian(unknowns) + self._offset))

@@ -93,9 +93,7 @@ class StopTest:
         self.cycles, self.size = state.cycles, state.size
         if state.change is not None:
             self.changes.append(state.change)
-        residual = state.residual
-        if state.idle and residual <= ROUNDING * state.floor:
-            residual = 0.0
+        residual = 0.0 if state.idle and state.residual <= ROUNDING * state.floor else state.residual
         self.residual = 0.0 if residual == 0 else residual / (state.forces or residual)  # interference: no forces yet
         self._last = residual
         self._rounding = self.at_rounding(state.floor)
@@ -158,18 +156,18 @@ class StopTest:
 
     @property
     def change(self) -> float:
-        """The last change, relative to the displacement where that has a size."""
+        """Return the last change, relative to the displacement where that has a size."""
         change = self.changes[-1] if self.changes else np.nan
         return change / self.size if self.size > 0 else change
 
     @property
     def rate(self) -> float:
-        """Geometric mean of the last (at most five) ratios of changes; NaN before the second change."""
+        """Return the geometric mean of the last (at most five) ratios of changes; NaN before the second change."""
         return self._mean_ratio(5)
 
     @property
     def safe_rate(self) -> float:
-        """The larger of the last ratio and the mean of the last three; NaN if unknown."""
+        """Return the larger of the last ratio and the mean of the last three; NaN if unknown."""
         return max(self._mean_ratio(1), self._mean_ratio(3)) if len(self.changes) > 1 else np.nan
 
     def _mean_ratio(self, window: int) -> float:
@@ -183,12 +181,12 @@ class StopTest:
 
     @property
     def diverged(self) -> bool:
-        """Whether the iterates grow without bound or are not finite."""
+        """Return whether the iterates grow without bound or are not finite."""
         return not np.isfinite(self.residual) or self._ran_away()
 
     @property
     def stalled(self) -> bool:
-        """Whether the change has not reached a new minimum for ``PATIENCE`` iterates."""
+        """Return whether the change has not reached a new minimum for ``PATIENCE`` iterates."""
         return self._no_new_minimum(self.changes)
 
     def _no_new_minimum(self, values: Sequence[float]) -> bool:

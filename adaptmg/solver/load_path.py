@@ -29,7 +29,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.solver.advice import advise_on_path, advise_on_problem, once
+from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
 from adaptmg.solver.controls import Controls
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import Past, TruncatedSteps, better_start, coarse_displacements
@@ -290,7 +290,7 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
             kept.put(k, _stored(k, result), loop.coarse)
         if callback is not None:
             callback(k, result)
-    advise_on_path(grids.problem, results)
+    advise_on_results(grids.problem, results)
     return PathResult(tuple(results), loop.factors, mark, len(path))
 
 

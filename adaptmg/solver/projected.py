@@ -26,7 +26,7 @@ from adaptmg.multigrid.cycle import (
 )
 from adaptmg.smoother.factorisation import Condensed, condense
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system
+from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, StopTest, WholeSteps, iterate
 from adaptmg.solver.record import Outcome, Run, Status
@@ -34,7 +34,7 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 @dataclass(eq=False, kw_only=True)
 class ProjectedRun:
-    """One run of multigrid with a correction that transports gap, slip and limit; what each option means says
+    """One run of multigrid with a correction that transports gap, slip and limit; options as of
     :class:`adaptmg.Multigrid`."""
 
     hierarchy: Hierarchy
@@ -74,16 +74,13 @@ class ProjectedRun:
         condensed = None
         if self.coarse.condensed:
             with self.run.phase("factorise"):
-                condensed = self._condensed(levels[0].system)
+                system = levels[0].system
+                coarsest = replace(self.problems[0], system=system, load=np.zeros(system.n_dofs))
+                # where the next mesh is locally the coarser one, some coarse functions vanish on it
+                condensed = condense(coarsest, lenient=True)
                 condensed = condensed if condensed.by_nodes else None
         return MultigridCycle(levels, self.cycle, self.smoother, self.correction, self.coarse, self.run, self.initial,
                               condensed)
-
-    def _condensed(self, coarsest: LocalSystem) -> Condensed:
-        """The coarsest problem on its contact nodes."""
-        local = replace(self.problems[0], system=coarsest, load=np.zeros(coarsest.n_dofs))
-        # where the next mesh is locally the coarser one, some coarse functions vanish on it
-        return condense(local, lenient=True)
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest (steps a and b of the paper)."""
@@ -92,7 +89,10 @@ class ProjectedRun:
             multigrid, local = self.multigrid(level), self.problems[level]
             with self.run.phase("start"):
                 if level == 0:
-                    unknowns = self._solve_coarsest(multigrid, start)
+                    unknowns = np.zeros(local.system.n_dofs)
+                    project(local, unknowns)
+                    multigrid.coarse = replace(self.coarse, rtol=start.rtol, atol=0.0, test="error")
+                    multigrid.solve_coarsest(local.contact, local.load, unknowns)
                 elif start.cycles == "complete":
                     iterate(_Cycles(multigrid, self.cycle, local, unknowns), StopTest(start.rtol, self.max_cycles))
                 else:
@@ -105,14 +105,6 @@ class ProjectedRun:
                 unknowns = prolonged_start(nodal, local, unknowns, self.problems[level + 1])
                 self.run.visit(level + 1, "start")
         self.run.start_work_units = self.run.work_units
-        return unknowns
-
-    def _solve_coarsest(self, multigrid: MultigridCycle, start: NestedStart) -> np.ndarray:
-        local = self.problems[0]
-        unknowns = np.zeros(local.system.n_dofs)
-        project(local, unknowns)
-        multigrid.coarse = replace(self.coarse, rtol=start.rtol, atol=0.0, test="error")
-        multigrid.solve_coarsest(local.contact, local.load, unknowns)
         return unknowns
 
     def finish(self, unknowns: np.ndarray) -> Outcome:
@@ -204,7 +196,7 @@ class SingleGrid:
         hierarchy.finest.discrete.need_no_volumes("SingleGrid")
         with run.phase("setup"):
             local = local_system(hierarchy.finest.discrete)
-        problem, sizes, restrict, recover = local, Sizes(local.discrete, local.frames), np.asarray, np.asarray
+        problem, sizes, restrict, recover = local, None, np.asarray, np.asarray
         if self.condensed:
             with run.phase("factorise"):
                 condensed = condense(local)
@@ -254,8 +246,8 @@ class _CondensedSizes(Sizes):
         return super().forces(self._whole(unknowns), contact)
 
     def _whole(self, unknowns: np.ndarray) -> np.ndarray:
-        asked = self.prescribed or self._problem.strain_free is not None
-        return self._condensed.recover(unknowns) if asked else unknowns
+        needed = self.prescribed or self._problem.strain_free is not None
+        return self._condensed.recover(unknowns) if needed else unknowns
 
 
 class _Sweeps(Smoothing):

@@ -29,7 +29,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
-from adaptmg.solver.advice import advise_on_problem, advise_on_result, once
+from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
@@ -143,7 +143,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
         stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads,
                                                                                posed.elements)
         result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
-        advise_on_result(posed, result)
+        advise_on_results(posed, [result])
     _LOG.info("%s, %d nodes: %s after %d cycles, %.1f work units and %.3g s (%s)", result.problem_name,
               discrete.n_nodes, result.status.name, result.cycles, result.work_units, result.seconds, result.method)
     _LOG.debug("seconds: %s", ", ".join(f"{name} {value:.3g}" for name, value in result.timings.items()))

@@ -89,7 +89,7 @@ class _Body:
 
     @property
     def pieces(self) -> list[tuple[str, np.ndarray]]:
-        """The bodies of this part, by what they are called, and their nodes."""
+        """Return the bodies of this part, by what they are called, and their nodes."""
         bodies = self.problem.bodies or {}
         inside = [(f"body {name!r}", nodes) for name, nodes in bodies.items() if np.isin(nodes[0], self.nodes)]
         if inside and (self.several or len(inside) > 1):

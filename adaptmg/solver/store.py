@@ -254,7 +254,7 @@ class StepStore:
 
     @property
     def empty(self) -> bool:
-        """Whether the folder has neither this head nor steps."""
+        """Return whether the folder has neither this head nor steps."""
         return not os.path.lexists(self.file) and not self._numbers()
 
     def write_head(self) -> None:

@@ -45,8 +45,7 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 
 class TruncatedIteration(StopTest):
-    """Cycles on one level, measured after the smoothing, and their test.
-    ``run`` asks the certificate and keeps the history. ``start``: "zero", "nested" or "given".
+    """Cycles on one level, measured after the smoothing, and their test. ``start``: "zero", "nested" or "given".
     ``coarse`` makes the contact problem on a coarse level; ``costly``: that has more unknowns than it should.
     ``nested`` is the start (n_dofs,) from which ``rtol="discretisation"`` is measured. ``hands_over``: end where the
     tolerance is out of reach at the present speed."""
@@ -118,8 +117,7 @@ class TruncatedIteration(StopTest):
     def judge(self, state: State) -> None:
         super().judge(state)
         self.residuals.append(self.residual)
-        if len(self.residuals) == 1:
-            self._first = self._last
+        self._first = self._last if len(self.residuals) == 1 else self._first
 
     def _seeks_status(self) -> bool:
         """Whether a contact problem on a coarse level comes first."""
@@ -198,10 +196,8 @@ class TruncatedIteration(StopTest):
         return True
 
     def _too_slow(self, left: float) -> bool:
-        """Whether, as fast as the last cycles went, the tolerance is not reached in most of the cycles ``left``.
-
-        The last ratio alone says nothing: recombined corrections fall unevenly.
-        """
+        """Whether, as fast as the last cycles went, the tolerance is not reached in most of the cycles ``left``. (The
+        last ratio alone says nothing: recombined corrections fall unevenly.)"""
         if len(self.changes) <= 2 * self.WINDOW or not (self.rtol > 0 and self.size > 0):
             return False
         rate = self._mean_ratio(self.WINDOW)
@@ -271,7 +267,7 @@ class Truncated:
 
 
 class TruncatedRun:
-    """One run of the truncated multigrid; what its options mean says :class:`adaptmg.Multigrid`."""
+    """One run of the truncated multigrid; options as of :class:`adaptmg.Multigrid`."""
 
     #: cycles on a level of a complete nested start at most
     COMPLETE_LIMIT = 60
