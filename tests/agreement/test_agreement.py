@@ -97,19 +97,11 @@ VARIANTS = {
 
 
 def assert_contact_conditions(result: am.Result, problem: am.DiscreteProblem) -> None:
-    """Signorini's conditions, the bound of friction and its direction, and the states; relative to the largest."""
-    c = result.contact
-    force, length = np.abs(c.force_n).max(), np.abs(result.displacement).max()
-    assert (c.gap >= -1e-12 * length).all() and (c.force_n >= 0).all()
-    assert np.abs(c.gap * c.force_n).max() < 1e-9 * force * length
-    limit, friction = problem.law.bounds(len(c))
-    np.testing.assert_allclose(c.limit, limit + friction * c.force_n, atol=1e-12 * force)
-    size, slip = np.linalg.norm(c.force_t, axis=1), np.linalg.norm(c.slip, axis=1)
-    assert (size <= c.limit + 1e-7 * force).all()
-    moving = (c.state == am.SLIP) & (slip > 1e-7 * length)
-    assert np.abs(np.sum(c.force_t * c.slip, axis=1) + c.limit * slip)[moving].max(initial=0) < 1e-7 * force * length
-    assert slip[c.state == am.STICK].max(initial=0) < 1e-9 * length
+    """The certificate, which shares no code with the methods, and the limits of friction that it does not read."""
     assert result.certificate().contradictions(result.rtol) == ()
+    limit, friction = problem.law.bounds(len(result.contact))
+    force = result.contact.force_n
+    np.testing.assert_allclose(result.contact.limit, limit + friction * force, atol=1e-12 * np.abs(force).max())
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -10,9 +10,7 @@ from norms import distance
 from study_scripts import load
 
 import adaptmg as am
-from adaptmg.smoother.system import local_system
-from adaptmg.solver import energy_error
-from adaptmg.solver.examine import Sizes, displacement_norm
+from adaptmg.solver.examine import displacement_norm
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.record import Run
 from adaptmg.solver.truncated import TruncatedIteration
@@ -28,14 +26,6 @@ def lowered(down=DOWN):
         name="lowered", domain=am.Rectangle(width=40e-3, height=40e-3), material=STEEL, law=am.Coulomb(0.3),
         contact=am.Contact("bottom", am.GapFunction(lambda points: np.full(len(points), GAP))),
         supports=(am.Support("top", x=0.0, y=-down),))
-
-
-def lowered_on_a_block():
-    lower = am.Rectangle(width=60e-3, height=30e-3, origin=(-10e-3, -30e-3 - GAP))
-    return replace(
-        lowered(), domain=am.Assembly(parts={"upper": lowered().domain, "lower": lower}),
-        contact=am.ContactPair("upper.bottom", "lower.top", reach=2 * GAP),
-        supports=(am.Support("upper.top", x=0.0, y=-DOWN), am.Support("lower.bottom", x=0.0, y=0.0)))
 
 
 METHODS = {"truncated, nested": am.FullMultigrid(), "truncated, from zero": am.Multigrid(),
@@ -64,32 +54,6 @@ def test_the_error_is_what_was_asked_for(grids, exact, method):
         assert true <= 3 * rtol
         if method != "single grid, condensed":  # its interior is recovered after the last check
             assert result.history["true_error"][-1] == pytest.approx(true, rel=1e-2, abs=1e-11)
-
-
-@pytest.mark.parametrize("frames", [False, True])
-def test_sizes_against_the_matrix(grids, frames):
-    """From unknowns that count from the prescribed values, in Cartesian and local components."""
-    discrete = grids.finest.discrete
-    local = local_system(discrete)
-    u = np.where(discrete.fixed, discrete.fixed_values,
-                 1e-3 * np.random.default_rng(0).standard_normal(discrete.n_dofs))
-    eliminated = u - discrete.fixed_values
-    w, sizes = local.to_local(u) if frames else eliminated, Sizes(discrete, local.frames if frames else None)
-    energy = eliminated @ (discrete.matrix @ eliminated)
-    assert sizes.norm(w, energy) == pytest.approx(np.sqrt(u @ (discrete.matrix @ u)), rel=1e-9)
-    reactions = (discrete.matrix @ u - discrete.load)[discrete.fixed]
-    assert sizes.forces(w, 0.0) == pytest.approx(np.linalg.norm(reactions), rel=1e-12)
-    assert sizes.forces(w, 1e20) == 1e20
-
-
-def test_between_bodies():
-    grids = am.Hierarchy.uniform(lowered_on_a_block(), [{"upper": k, "lower": (3 * k // 2, 3 * k // 4)}
-                                                        for k in (4, 8, 16)])
-    exact = am.solve(grids, am.ActiveSet(rtol=3e-11))
-    for method in ("truncated, nested", "monotone, nested", "active set"):
-        for rtol in (1e-3, 1e-8):
-            result = am.solve(grids, replace(METHODS[method], rtol=rtol), reference=exact)
-            assert result.history["true_error"][-1] <= 3 * rtol, (method, rtol)
 
 
 def heated(kind, law):
@@ -214,25 +178,6 @@ def test_gaps_of_thousands_of_displacements_do_not_stall(seed, start):
     assert certificate["complementarity"].relative <= 1e-8 and not certificate.contradictions(1e-8)
 
 
-@pytest.fixture(scope="module", params=[am.cases.greco_bar, am.cases.dovetail])
-def near(request):
-    """A hierarchy, its exact solution, and that of the level below on it."""
-    problem = request.param()
-    grids = am.Hierarchy.graded(problem, (8e-3, 4e-3, 2e-3))
-    exact = am.solve(grids, am.ActiveSet(rtol=1e-12)).displacement
-    below = am.solve(grids.truncated(finest=1), am.ActiveSet()).displacement
-    discrete = grids.finest.discrete
-    return grids, exact, discrete.physical(grids.finest.prolongation @ grids[1].discrete.relative(below))
-
-
-def test_errors_are_as_claimed_from_wrong_starts_too(near):
-    grids, exact, start = near
-    for rtol, begin in ((1e-2, start), (1e-6, start), (1e-6, -start)):
-        result = am.solve(grids, am.Multigrid(rtol=rtol), start=begin)
-        assert result.status.ok and result.rtol == rtol
-        assert distance(grids.finest.discrete, result.displacement, exact) <= 2.5 * rtol
-
-
 @cache
 def bars(case, friction):
     if case == "block":
@@ -254,16 +199,3 @@ def test_the_true_error_is_at_most_rtol(case, friction, rtol, solver):
     solution = exactly(case, friction).displacement
     assert distance(bars(case, friction).finest.discrete, result.displacement, solution) <= rtol
     assert result.status is am.Status.CONVERGED and result.checked.energy_error <= rtol
-
-
-def test_an_error_far_below_rtol_is_estimated_by_one_step(monkeypatch):
-    steps, step = [], energy_error._Preconditioner.__call__
-    monkeypatch.setattr(energy_error._Preconditioner, "__call__",
-                        lambda self, residual: (steps.append(1), step(self, residual))[1])
-    result = am.solve(bars("bar", 0.6), am.FullMultigrid(rtol=1e-2))
-    assert len(steps) == 1
-    found = result.certificate(bars("bar", 0.6).finest.discrete).energy_error
-    assert len(steps) > 2 and found / 3 <= result.checked.energy_error <= 1.001 * found <= 1e-3
-    before = len(steps)
-    am.solve(bars("bar", 0.6), am.FullMultigrid(rtol=2 * found))
-    assert len(steps) > before + 1
