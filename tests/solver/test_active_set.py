@@ -14,7 +14,7 @@ from adaptmg.mesh.structured import structured
 from adaptmg.smoother.conditions import linearise
 from adaptmg.smoother.factorisation import condense
 from adaptmg.smoother.system import LocalProblem
-from adaptmg.solver.active_set import CondensedSteps, SparseSteps
+from adaptmg.solver.active_set import CondensedSteps, SparseSteps, local_near_nullspace
 from adaptmg.solver.record import Run
 
 CASES = {
@@ -174,6 +174,15 @@ def test_linear_solvers_get_the_symmetry_and_modes_of_what_moves(name):
     seen = []
     am.solve(grids(name), am.ActiveSet(linear=Watching()))
     assert all(seen) is ("friction " not in name)
+
+
+def test_near_nullspace_without_coordinates_are_translations():
+    local = network(3, "coulomb")
+    modes = local_near_nullspace(local)
+    assert modes.shape == (48, 3) and not modes[local.system.fixed].any()
+    free = ~local.system.fixed.reshape(-1, 3).any(axis=1)
+    gram = np.einsum("nik,nil->nkl", modes.reshape(-1, 3, 3)[free], modes.reshape(-1, 3, 3)[free])
+    assert gram == pytest.approx(np.broadcast_to(np.eye(3), gram.shape))
 
 
 def test_too_few_steps_are_reported_and_wrong_options_refused():

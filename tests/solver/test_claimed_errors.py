@@ -10,7 +10,8 @@ from norms import distance
 from study_scripts import load
 
 import adaptmg as am
-from adaptmg.solver.examine import displacement_norm
+from adaptmg.smoother.system import local_system
+from adaptmg.solver.examine import Sizes, displacement_norm
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.record import Run
 from adaptmg.solver.truncated import TruncatedIteration
@@ -54,6 +55,22 @@ def test_the_error_is_what_was_asked_for(grids, exact, method):
         assert true <= 3 * rtol
         if method != "single grid, condensed":  # its interior is recovered after the last check
             assert result.history["true_error"][-1] == pytest.approx(true, rel=1e-2, abs=1e-11)
+
+
+@pytest.mark.parametrize("frames", [False, True])
+def test_sizes_against_the_matrix(grids, frames):
+    """From unknowns that count from the prescribed values, in Cartesian and local components."""
+    discrete = grids.finest.discrete
+    local = local_system(discrete)
+    u = np.where(discrete.fixed, discrete.fixed_values,
+                 1e-3 * np.random.default_rng(0).standard_normal(discrete.n_dofs))
+    eliminated = u - discrete.fixed_values
+    w, sizes = local.to_local(u) if frames else eliminated, Sizes(discrete, local.frames if frames else None)
+    energy = eliminated @ (discrete.matrix @ eliminated)
+    assert sizes.norm(w, energy) == pytest.approx(np.sqrt(u @ (discrete.matrix @ u)), rel=1e-9)
+    reactions = (discrete.matrix @ u - discrete.load)[discrete.fixed]
+    assert sizes.forces(w, 0.0) == pytest.approx(np.linalg.norm(reactions), rel=1e-12)
+    assert sizes.forces(w, 1e20) == 1e20
 
 
 def heated(kind, law):
