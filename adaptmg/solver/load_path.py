@@ -32,7 +32,7 @@ from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
 from adaptmg.solver.controls import Controls
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.load_steps import Past, TruncatedSteps, better_start, coarse_displacements
+from adaptmg.solver.load_steps import Past, Start, TruncatedSteps, better_start, coarse_displacements
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import KINDS, NotConverged, Result
@@ -329,13 +329,11 @@ class PathLoop:
         truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
         self.method = TruncatedSteps(solver) if truncated else _Restarted(solver)
         self.controls = Controls(grids.problem if _problem_with_names(grids) else None, grids.finest)
-        begin, pressures = np.zeros(grids.finest.discrete.n_dofs), _no_pressures(grids.finest.discrete)
-        self.past = Past([np.zeros(level.discrete.n_dofs) for level in grids.levels] if grids.discretised else [begin],
-                         begin, False)
-        #: displacements of the last two steps on the finest level, and the forces that led there
-        self.recent = [(_together(begin, pressures), np.zeros_like(begin))]
-        #: displacements of the last step on the coarse levels, where the method has them
+        #: displacements of the last step on the levels; the method has those of coarse ones, or they are interpolated
+        self.levels = [np.zeros(level.discrete.n_dofs) for level in grids.levels[0 if grids.discretised else -1:]]
         self.coarse: list[np.ndarray] | None = None
+        #: the ends of the last two steps, and the forces that led there
+        self.recent = [((self.levels[-1], _no_pressures(grids.finest.discrete)), np.zeros_like(self.levels[-1]))]
 
     def described(self, k: int) -> str:
         """Return the factors of a step as text."""
@@ -366,14 +364,14 @@ class PathLoop:
         """The result of step k with the motions of obstacles, from one ``near`` to it; and what the next step needs."""
         finest = self.grids.finest.discrete
         run = Run(unit=finest.matrix.nnz, callback=None if progress is None else partial(progress, k),
-                  pressures=None if self.past.pressures is None else self.past.pressures[0])
+                  pressures=self.recent[-1][0][1])
         with run.phase("setup"):
             grids = self._posed(k, motions)
             if not self.controls.rigid:  # these move until their forces fit, and may go too far on the way
                 grids.finest.discrete.check_stops(self._factors_at(k))
             forces = grids.finest.discrete.load_from_prescribed()
             run.examiner = self.examiner = Examiner(grids.finest.discrete)
-            past = self._with_extrapolated(forces, near)
+            past = Past(self.levels, self.recent[-1][0], self._start(forces, near), len(self.recent) > 1)
         with run.phase("statics"):
             try:
                 check_statics_of(grids)
@@ -432,12 +430,12 @@ class PathLoop:
         """The hierarchy with loads, prescribed values, places of obstacles and slip references of a step."""
         factors, levels = self._loading(k, motions), []
         places = self.controls.placed(factors, motions)
-        offset = len(self.grids) - len(self.past.levels)
+        offset = len(self.grids) - len(self.levels)
         for number, (level, loads) in enumerate(zip(self.grids.levels, self.loads, strict=True)):
             if loads is not None and number >= offset:
                 problem, reference = level.discrete, level.discrete.contact.slip_reference
-                if self.past.given:
-                    reference = problem.at_contact(self.past.levels[number - offset])
+                if len(self.recent) > 1:
+                    reference = problem.at_contact(self.levels[number - offset])
                 step = loads.step(problem, factors, reference)
                 if places:
                     step = moved(step, self.controls.problem, level.mesh, places, self.controls.places)
@@ -448,39 +446,27 @@ class PathLoop:
     def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
         discrete, self.coarse = grids.finest.discrete, coarse
         # from the result, as a path that goes on from its store has it
-        displacement, pressures = discrete.relative(result.displacement).reshape(-1), result.pressures
-        self.recent = [*self.recent[-1:], (_together(displacement, pressures), forces)]
-        levels = coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
-        past = Past(levels, displacement, True)
-        self.past = past if pressures is None else replace(past, pressures=(pressures, pressures))
+        displacement = discrete.relative(result.displacement).reshape(-1)
+        self.recent = [*self.recent[-1:], ((displacement, result.pressures), forces)]
+        self.levels = coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
 
-    def _with_extrapolated(self, forces: np.ndarray, near: Result | None) -> Past:
-        """What is known before a step with these forces, and perhaps a result ``near`` to it."""
-        n = self.grids.finest.discrete.n_dofs
-        solution = self._extrapolated(forces) if near is None else _together(
-            self.grids.finest.discrete.relative(near.displacement).reshape(-1), near.pressures)
-        pressures = None if self.past.pressures is None else (self.past.pressures[0], solution[n:])
-        return replace(self.past, extrapolated=solution[:n], pressures=pressures)
-
-    def _extrapolated(self, forces: np.ndarray) -> np.ndarray:
-        """The displacement, and the pressures of volumes behind it, for new forces if all goes on as between the last
-        two steps, least squares in the forces."""
-        (before, forces_before), (last, last_forces) = self.recent[0], self.recent[-1]
-        change = last_forces - forces_before
+    def _start(self, forces: np.ndarray, near: Result | None) -> Start:
+        """A start for a step with these forces: a result near to it, or where all goes on as between the last two
+        steps, least squares in the forces."""
+        if near is not None:
+            return self.grids.finest.discrete.relative(near.displacement).reshape(-1), near.pressures
+        (earlier, forces_earlier), (last, last_forces) = self.recent[0], self.recent[-1]
+        change = last_forces - forces_earlier
         # not through BLAS, whose threads cost more than they gain
         size = float(np.einsum("i,i->", change, change))
-        if size == 0.0:
-            return last
-        ratio = float(np.einsum("i,i->", forces - last_forces, change)) / size
-        return last + ratio * (last - before)
+        ratio = float(np.einsum("i,i->", forces - last_forces, change)) / size if size else 0.0
+        displacement, pressures = (None if one is None else one + ratio * (one - before)
+                                   for one, before in zip(last, earlier, strict=True))
+        return displacement, pressures
 
 
 def _no_pressures(discrete: DiscreteProblem) -> np.ndarray | None:
     return None if discrete.volumes is None else np.zeros(len(discrete.volumes))
-
-
-def _together(displacement: np.ndarray, pressures: np.ndarray | None) -> np.ndarray:
-    return displacement if pressures is None else np.append(displacement, pressures)
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:

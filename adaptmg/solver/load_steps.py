@@ -29,27 +29,25 @@ from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run
 from adaptmg.solver.truncated import Truncated, TruncatedRun
 
+#: displacement (n_dofs,) of the finest level, and pressures of its volumes, if it has them
+Start = tuple[np.ndarray, np.ndarray | None]
+
 
 @dataclass(frozen=True, eq=False)
 class Past:
     """What is known before a step."""
 
-    levels: list[np.ndarray]  # list of (n_dofs,)s
-    extrapolated: np.ndarray  # (n_dofs,)
+    levels: list[np.ndarray]  # displacements (n_dofs,) after the step before, coarsest level first
+    last: Start  # after the step before
+    extrapolated: Start
     given: bool  # whether there is a step before
-    #: of the volumes of the finest level, last and extrapolated; None where there are none or they are unknown
-    pressures: tuple[np.ndarray, np.ndarray] | None = None
-
-    def starts(self) -> list[tuple[np.ndarray, np.ndarray | None]]:
-        """Return displacement and pressures of the step before, and the extrapolated ones."""
-        last, extrapolated = (None, None) if self.pressures is None else self.pressures
-        return [(self.levels[-1], last), (self.extrapolated, extrapolated)]
 
 
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
     """Return the displacement of the step before or the extrapolated one, the one with the smaller residual."""
     with run.phase("start"):
-        displacement, run.pressures = min(past.starts(), key=lambda one: examiner.relative_residual(*one))
+        starts = past.last, past.extrapolated
+        displacement, run.pressures = min(starts, key=lambda start: examiner.relative_residual(*start))
     return displacement
 
 
@@ -146,7 +144,7 @@ class TruncatedSteps:
             kind = "given" if past.given else "nested"
             with run.phase("start"):
                 # not where the nested start sets the tolerance
-                _, (extrapolated, pressures) = past.starts()
+                extrapolated, pressures = past.extrapolated
                 if (past.given and self.rtol != "discretisation" and examiner.relative_residual(extrapolated, pressures)
                         <= self.EXTRAPOLATE * examiner.relative_residual(start, multigrid.pressures)):
                     start, multigrid.pressures = extrapolated, pressures
