@@ -235,12 +235,12 @@ class _Newton:
         if not self._tolerances:
             return Status.CYCLING
         tolerance = self._tolerances.pop(0)
-        found = interior_point(*self.equations_of.inside(), self.local.contact, self.equations_of.stiffness, tolerance,
-                               most=min(self.MOST, self.options.max_steps - self.cycles))
-        _LOG.debug("step %d: an interior point, %.0e, in %d steps", self.cycles, found.slack, found.steps)
-        self.unknowns = self.equations_of.outside(found)
-        self.cycles += found.steps
-        self.run.visit(self.level, "solve", found.steps)
+        interior = interior_point(*self.equations_of.inside(), self.local.contact, self.equations_of.stiffness,
+                                  tolerance, most=min(self.MOST, self.options.max_steps - self.cycles))
+        _LOG.debug("step %d: an interior point, %.0e, in %d steps", self.cycles, interior.slack, interior.steps)
+        self.unknowns = self.equations_of.outside(interior)
+        self.cycles += interior.steps
+        self.run.visit(self.level, "solve", interior.steps)
         self._seen.clear()
         self._last, self._since = b"", 0
         return None
@@ -283,10 +283,10 @@ class CondensedSteps:
             return (ContactDofs(self.condensed.matrix, free.reshape(-1, self.local.system.dim)),
                     self.condensed.reduced[1][free])
 
-    def outside(self, found: Interior) -> np.ndarray:
+    def outside(self, interior: Interior) -> np.ndarray:
         """Return the unknowns (n_dofs,) for what the interior point method found."""
         with self.run.phase("solve"):
-            return self.condensed.recover(found.values.reshape(-1))
+            return self.condensed.recover(interior.values.reshape(-1))
 
     def solve(self, equations: Linearised) -> np.ndarray:
         """Return the change (n_dofs,) for the last residual; LinAlgError if the equations are singular or an iterative
@@ -345,8 +345,8 @@ class SparseSteps:
     def inside(self) -> tuple[Span, np.ndarray]:
         return self, self.local.load
 
-    def outside(self, found: Interior) -> np.ndarray:
-        return found.unknowns
+    def outside(self, interior: Interior) -> np.ndarray:
+        return interior.unknowns
 
     def solve(self, equations: Linearised) -> np.ndarray:
         system = self.local.system

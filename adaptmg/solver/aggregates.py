@@ -273,7 +273,7 @@ def changed_status(problem: DiscreteProblem, residual: np.ndarray, here: AtNodes
     free = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     slip = to_frames(coarse.frames, here.slip)[:, 1:]
     conditions = Conditions(here.gap, -slip, limit * free, problem.law.bounds(n)[1] * free)
-    found = interior_point(coarse, coarse.condense(load), conditions, np.tile(stiffness[:, None], dim), _ENOUGH)
-    if not found.slack <= _ENOUGH:
+    solution = interior_point(coarse, coarse.condense(load), conditions, np.tile(stiffness[:, None], dim), _ENOUGH)
+    if not solution.slack <= _ENOUGH:
         return None
-    return coarse.recover(load, found.unknowns), -from_frames(coarse.frames, found.forces)
+    return coarse.recover(load, solution.unknowns), -from_frames(coarse.frames, solution.forces)

@@ -92,10 +92,10 @@ class Certificate:
         """Return the names of what a displacement that has converged to ``rtol`` would not violate so much."""
         def beyond(value: float, allowed: float, rounding: float) -> bool:
             return not value <= max(allowed, min(rounding, self.MOST_ROUNDING))
-        found = [line.name for line in self.lines if beyond(line.relative, self.FACTOR * rtol, line.rounding)]
+        names = [line.name for line in self.lines if beyond(line.relative, self.FACTOR * rtol, line.rounding)]
         if beyond(self.energy_error, energy_factor * rtol, self.energy_rounding):
-            found.append("energy error")
-        return tuple(found)
+            names.append("energy error")
+        return tuple(names)
 
     def __repr__(self) -> str:
         return shortened(str(self))
@@ -119,17 +119,11 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
     ``pressures``, Pa. An energy error below a tenth of ``rtol`` is estimated by one step."""
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
-        found = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, pressures)
-        energy, energy_rounding = found.energy_error(None if bound else aggregates_of(problem), rtol)
-        lines = (found.equilibrium(), *found.volumes(), found.prescribed(), *found.normal(), *found.tangential(),
-                 *found.states(), found.balance())
-    if found.idle:
-        # forces that are rounding are no scale: what they leave is reported in N alone
-        lines = tuple(replace(line, relative=0.0)
-                      if not line.unit or (line.unit != "m" and line.largest <= found.rounding) else line
-                      for line in lines)
-        energy = 0.0
-    return Certificate(lines, energy, energy_rounding, bound, found.force, found.length, found.energy)
+        evidence = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, pressures)
+        energy, energy_rounding = evidence.energy_error(None if bound else aggregates_of(problem), rtol)
+        lines = evidence.lines()
+    return Certificate(lines, 0.0 if evidence.idle else energy, energy_rounding, bound, evidence.force, evidence.length,
+                       evidence.energy)
 
 
 _OPEN, _SLIP, _STICK = 0, 1, 2
@@ -210,6 +204,16 @@ class Evidence:
         """Return whether all forces are rounding: bodies that their supports move and nothing strains."""
         moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
         return moved > 0.0 and self.force <= 1e3 * self.rounding and self.length <= 10 * moved
+
+    def lines(self) -> tuple[Condition, ...]:
+        """Return all conditions."""
+        lines = (self.equilibrium(), *self.volumes(), self.prescribed(), *self.normal(), *self.tangential(),
+                 *self.states(), self.balance())
+        if not self.idle:
+            return lines
+        # forces that are rounding are no scale: what they leave is reported in N alone
+        return tuple(replace(line, relative=0.0)
+                     if not line.unit or (line.unit != "m" and line.largest <= self.rounding) else line for line in lines)
 
     def _kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """Gap (n,) and slip (n, dim) against the obstacle, or the other body."""
@@ -317,23 +321,23 @@ class Evidence:
         exerted = forces[contact.nodes] + lawful
         if self.problem.volumes is not None:
             missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
-        found = correction(self.problem, status, forces, missed, aggregates, negligible, self.rounding)
-        gap = here.gap - _along(change[contact.nodes] - found.moved, contact.normals)
-        pressure = -_along(exerted - found.forces, contact.normals)
-        deepest = -_WRONG * np.linalg.norm(found.moved, axis=1).max(initial=0.0)
+        corrected = correction(self.problem, status, forces, missed, aggregates, negligible, self.rounding)
+        gap = here.gap - _along(change[contact.nodes] - corrected.moved, contact.normals)
+        pressure = -_along(exerted - corrected.forces, contact.normals)
+        deepest = -_WRONG * np.linalg.norm(corrected.moved, axis=1).max(initial=0.0)
         pulled = -_WRONG * max(pressure.max(initial=0.0), here.pressure.max(initial=0.0))
-        wrong = np.where(closed, pressure < pulled, gap < deepest).any() or not np.isfinite(found.energy)
-        return float(moved + np.sqrt(found.energy)), bool(wrong)
+        wrong = np.where(closed, pressure < pulled, gap < deepest).any() or not np.isfinite(corrected.energy)
+        return float(moved + np.sqrt(corrected.energy)), bool(wrong)
 
     def _with_changed_status(self, here: AtNodes, held: float, aggregates: Aggregates) -> float:
         """The energy error where the contact status may change: of the change in the span of the aggregates, and what
         is missing after it with the status held; ``held``: what is missing without it."""
         problem, contact, matrix = self.problem, self.problem.contact, self.problem.matrix
         residual = problem.under(self.pressures).load - matrix @ self.unknowns.reshape(-1)
-        found = changed_status(problem, residual, here, self.stiffness, self.limit)
-        if found is None:
+        solution = changed_status(problem, residual, here, self.stiffness, self.limit)
+        if solution is None:
             return held
-        change, exerted = found
+        change, exerted = solution
         images = matrix @ change
         size, nodal = np.sqrt(max(_sum(change, images), 0.0)), change.reshape(self.u.shape)
         moved, normals = nodal[contact.nodes], contact.normals

@@ -184,9 +184,9 @@ def correction(problem: DiscreteProblem, status: FrozenStatus, residual: np.ndar
         none = np.zeros((len(status.nodes), problem.dim))
         return HeldCorrection(0.0 if size == 0.0 else np.inf, none, none)
     if aggregates is not None:
-        found, settled = _estimated(_Equations(problem, status, aggregates), load, negligible)
+        estimate, settled = _estimated(_Equations(problem, status, aggregates), load, negligible)
         if settled or problem.n_dofs > FACTORISED[problem.dim]:
-            return found
+            return estimate
     return _factorised(problem, status, load, rounding)
 
 

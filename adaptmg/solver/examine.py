@@ -274,9 +274,9 @@ class Examiner:
             residual += discrete.inclined.reaction(solved)
         ties = tie_forces(discrete, residual)
         reaction = discrete.physical_forces(residual).reshape(displacement.shape)
-        found = Examined(displacement, reaction, contact, ties, natural, checked)
-        self._last = solved, pressures, found
-        return found
+        examined = Examined(displacement, reaction, contact, ties, natural, checked)
+        self._last = solved, pressures, examined
+        return examined
 
     def _contact_result(self, solved: np.ndarray, residual: np.ndarray) -> ContactResult:
         """Contact quantities at a solution (n_dofs,). Where a support holds a tangential component, the equations do
@@ -310,7 +310,7 @@ def _on_followed(discrete: DiscreteProblem, forces: np.ndarray) -> tuple[np.ndar
     """Nodes that slave nodes follow, what contact forces (n_contact, dim) exert on them, -W' times them, and their
     boundaries. Where both bodies are held, held nodes of the other one take all."""
     contact, dim = discrete.contact, discrete.dim
-    found = [(np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, dtype=np.int64))]
+    parts = [(np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, dtype=np.int64))]
     weights = []
     for at, instead, _ in discrete.held_together():
         place = np.arange(len(contact))
@@ -321,8 +321,8 @@ def _on_followed(discrete: DiscreteProblem, forces: np.ndarray) -> tuple[np.ndar
         rows = [of_component[mine] for of_component in weights]
         node = np.unique(np.concatenate([one.indices for one in rows]))
         exerted = [-(one.T @ force)[node] for one, force in zip(rows, forces[mine].T, strict=True)]
-        found.append((node.astype(np.int64), np.column_stack(exerted), np.full(len(node), k)))
-    node, exerted, boundary = zip(*found, strict=True)
+        parts.append((node.astype(np.int64), np.column_stack(exerted), np.full(len(node), k)))
+    node, exerted, boundary = zip(*parts, strict=True)
     return np.concatenate(node), np.concatenate(exerted), np.concatenate(boundary)
 
 

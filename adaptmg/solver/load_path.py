@@ -267,9 +267,9 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, depends)
     if store is not None and (obstacles := loop.controls.posed()):
         mark["obstacles and preloads"] = obstacles
-    kept = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
+    steps = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
     results: list[Result] = []
-    for result, coarse in () if kept is None else _results(kept, len(path)):
+    for result, coarse in () if steps is None else _results(steps, len(path)):
         loop.take_over(len(results), result, coarse)
         results.append(result)
     if len(results) < len(path):
@@ -286,8 +286,8 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
             if throw:
                 raise StepNotConverged(result, k, loop.described(k), partial_result)
             return partial_result
-        if kept is not None:
-            kept.put(k, _stored(k, result), loop.coarse)
+        if steps is not None:
+            steps.put(k, _stored(k, result), loop.coarse)
         if callback is not None:
             callback(k, result)
     advise_on_results(grids.problem, results)
@@ -470,8 +470,8 @@ def _no_pressures(discrete: DiscreteProblem) -> np.ndarray | None:
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
-    known = all(level.mesh_or_none is not None for level in grids.levels if level.discrete_or_none is not None)
-    return grids.problem if known else None
+    named = all(level.mesh_or_none is not None for level in grids.levels if level.discrete_or_none is not None)
+    return grids.problem if named else None
 
 
 def _loads(grids: Hierarchy) -> list[LoadSteps | None]:

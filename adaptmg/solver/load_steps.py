@@ -156,8 +156,8 @@ class TruncatedSteps:
         return outcome, coarse
 
     def _kept(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
-        kept = self.multigrid
-        if kept is None or kept.spent or not hierarchy.finest.discrete.alike(kept.problems[-1]):
+        multigrid = self.multigrid
+        if multigrid is None or multigrid.spent or not hierarchy.finest.discrete.alike(multigrid.problems[-1]):
             self.multigrid = KeptMultigrid(self.parts, hierarchy, run, self.rtol, self.max_cycles)
         else:
             self.multigrid.take(hierarchy, run)

@@ -106,8 +106,8 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     >>> result.status.name, len(result.contact.pressure)
     ('CONVERGED', 5)
     """
-    given = grids_argument(grids)
-    grids, solver, choice = method_argument(solver, given)
+    posed_grids = grids_argument(grids)
+    grids, solver, choice = method_argument(solver, posed_grids)
     checks.flag("throw", throw)
     checks.flag("progress", progress)
     checks.optional_callable("callback", callback, "a row of the history")
@@ -119,7 +119,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
                 raise ValueError(f"{name} must be None: a Rigid obstacle or a Preload is found by several contact "
                                  "problems")
         watched = _watched(callback, progress)
-        path = solve_path(given, LoadPath(), solver, throw=False,
+        path = solve_path(posed_grids, LoadPath(), solver, throw=False,
                           progress=None if watched is None else lambda _, row: watched(row))
         if throw and not path[0].status.ok:
             raise NotConverged(path[0])
@@ -128,7 +128,7 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     exact = displacement_argument("reference", reference, discrete)
     first = displacement_argument("start", start, discrete)
     run = Run(unit=discrete.matrix.nnz, callback=_watched(callback, progress), reference=exact,
-              timings={} if grids is given else dict(grids.timings),
+              timings={} if grids is posed_grids else dict(grids.timings),
               pressures=pressures_argument(start, discrete))
     _LOG.debug("nodes of the levels: %s (%s)", ", ".join(str(level.n_nodes) for level in grids.levels), grids.origin)
     with run.phase("statics"):
@@ -159,9 +159,9 @@ def _watched(callback: Callable[[dict[str, float]], None] | None, progress: bool
         return callback
 
     def take(row: dict[str, float]) -> None:
-        known = [f"{name.removesuffix('_estimate')} {row[name]:.1e}" for name in ("error_estimate", "residual")
+        errors = [f"{name.removesuffix('_estimate')} {row[name]:.1e}" for name in ("error_estimate", "residual")
                  if np.isfinite(row.get(name, np.nan))]
-        line = ", ".join([f"cycle {row['cycle']}: {row['work_units']:.1f} work units", *known,
+        line = ", ".join([f"cycle {row['cycle']}: {row['work_units']:.1f} work units", *errors,
                           f"{row['seconds']:.2f} s"])
         _LOG.debug(line)
         if progress:
@@ -199,10 +199,10 @@ def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
     if nodes[-1] < wide * nodes[0] and finest.discrete.dim * len(finest.discrete.contact) <= LARGE_COARSEST:
         return grids, ActiveSet(), (f"from {nodes[0]} to {nodes[-1]} nodes multigrid gains little, the quickest is the "
                                     "active set method")
-    kept, out = 0, []
+    last, out = 0, []
     for level in range(1, len(grids) - 1):
-        if wide * nodes[kept] <= nodes[level] <= nodes[-1] / wide:
-            kept = level
+        if wide * nodes[last] <= nodes[level] <= nodes[-1] / wide:
+            last = level
         else:
             out.append(level)
     for level in reversed(out if grids.problem is not None else ()):
@@ -216,8 +216,8 @@ def displacement_argument(name: str, value: ArrayLike | Result | None, discrete:
     """Return a displacement (n_nodes, dim) or a Result as unknowns of the problem, checked."""
     if value is None:
         return None
-    given = value.displacement if isinstance(value, Result) else value
-    array = checks.array(name, given, (discrete.n_nodes, discrete.dim))
+    nodal = value.displacement if isinstance(value, Result) else value
+    array = checks.array(name, nodal, (discrete.n_nodes, discrete.dim))
     size = np.abs(array).max(initial=0.0)
     if not size <= checks.VAST:
         raise ValueError(f"{name} must be at most {checks.VAST:g} m, got {size:.3g}")
@@ -265,7 +265,7 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
     """Return the Result on the finest level; the certificate and the natural residual confirm the status."""
     with run.phase("certificate"):
         # a solver of the user may go on with its array
-        found = examiner(np.array(outcome.displacement), outcome.rtol, outcome.pressures)
+        examined = examiner(np.array(outcome.displacement), outcome.rtol, outcome.pressures)
     volumes = grids.finest.discrete.volumes
     if volumes is not None and stress_data is not None and outcome.pressures is not None:
         stress_data = replace(stress_data, pressure=volumes.of_elements(outcome.pressures),
@@ -273,20 +273,20 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
     mesh, problem, supports, springs = cast("Any", grids.finest.mesh_or_none), grids.problem, {}, {}
     if problem is not None and grids.finest.mesh_or_none is not None:
         supports = {name: rows.tolist() for name, rows in held_directions(mesh, problem.supports).items()}
-        springs = spring_resultants(mesh, problem.supports, found.displacement, problem.axisymmetric)
+        springs = spring_resultants(mesh, problem.supports, examined.displacement, problem.axisymmetric)
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
-    return Result(displacement=found.displacement, reaction=found.reaction, checked=found.checked,
-                  status=_confirmed(outcome, found.residual, found.checked, getattr(solver, "stop", "error")),
+    return Result(displacement=examined.displacement, reaction=examined.reaction, checked=examined.checked,
+                  status=_confirmed(outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")),
                   cycles=outcome.cycles,
-                  contact=replace(found.contact, axisymmetric=stress_data is not None and stress_data.axisymmetric),
-                  work_units=run.work_units, residual=found.residual,
-                  error_estimate=float(np.fmax(outcome.error_estimate, found.checked.energy_error)),
+                  contact=replace(examined.contact, axisymmetric=stress_data is not None and stress_data.axisymmetric),
+                  work_units=run.work_units, residual=examined.residual,
+                  error_estimate=float(np.fmax(outcome.error_estimate, examined.checked.energy_error)),
                   rate=outcome.rate, rtol=outcome.rtol, history=history,
                   timings=run.timings, path=run.path, levels=grids.table(),
                   problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
                   choice=choice, mesh=mesh, start_work_units=run.start_work_units,
-                  versions=versions(), stress_data=stress_data, supports=supports, springs=springs, ties=found.ties,
+                  versions=versions(), stress_data=stress_data, supports=supports, springs=springs, ties=examined.ties,
                   pressures=outcome.pressures)
 
 
@@ -302,11 +302,11 @@ def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: st
     if outcome.status.ok and not residual <= 2 * most:
         return Status.DIVERGED if not residual < 1 else Status.STALLED
     factor = StopTest.RESIDUAL_FACTOR if stop == "change" else checked.ENERGY_FACTOR
-    found = checked.contradictions(outcome.rtol, factor)
+    contradictions = checked.contradictions(outcome.rtol, factor)
     if not checked.energy_error < 1:
-        found = *found, "energy error of the size of the solution"
-    if outcome.status.ok and found:
-        _LOG.info("the solver reports convergence, contradicted by %s", ", ".join(found))
+        contradictions = *contradictions, "energy error of the size of the solution"
+    if outcome.status.ok and contradictions:
+        _LOG.info("the solver reports convergence, contradicted by %s", ", ".join(contradictions))
         _LOG.debug("%s", checked)
         return Status.STALLED
     return outcome.status
