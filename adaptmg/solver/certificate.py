@@ -212,8 +212,8 @@ class Evidence:
         if not self.idle:
             return lines
         # forces that are rounding are no scale: what they leave is reported in N alone
-        return tuple(replace(line, relative=0.0)
-                     if not line.unit or (line.unit != "m" and line.largest <= self.rounding) else line for line in lines)
+        return tuple(replace(line, relative=0.0) if not line.unit or (
+            line.unit != "m" and line.largest <= self.rounding) else line for line in lines)
 
     def _kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """Gap (n,) and slip (n, dim) against the obstacle, or the other body."""

@@ -68,19 +68,18 @@ class KeptMultigrid(TruncatedRun):
     def __init__(self, parts: Truncated, hierarchy: Hierarchy, run: Run, rtol: float | str, max_cycles: int) -> None:
         super().__init__(parts, hierarchy, run, rtol, max_cycles)
         self._steps: dict[int, TruncatedStep] = {}
-        self.spent = False
 
     def take(self, hierarchy: Hierarchy, run: Run) -> None:
         """Go on to the next step: ``hierarchy`` differs in loads, prescribed values and slip references only."""
         self.hierarchy, self.run, self.cycle.recorder = hierarchy, run, run
         self.problems = [level.discrete_or_none for level in hierarchy.levels]
         self.pressures = run.pressures
-        with run.phase("setup"):
-            finest = self._steps.get(len(hierarchy) - 1)
-            if finest is not None:
-                finest.truncation.restore()
+        if len(hierarchy) - 1 in self._steps:
+            with run.phase("setup"):
+                self._steps[len(hierarchy) - 1].truncation.restore()
 
     def increment(self, start: NestedStart, past: list[np.ndarray]) -> list[np.ndarray]:
+        """Return the displacements (n_dofs,) of all levels from which a step begins."""
         result: list[np.ndarray] = []
         for number, problem in enumerate(self.problems):
             if number == 0:
@@ -99,11 +98,6 @@ class KeptMultigrid(TruncatedRun):
             self.pressures = self.run.pressures
         self.run.start_work_units = self.run.work_units
         return result
-
-    def finish(self, unknowns: np.ndarray, start: str) -> Outcome:
-        outcome = super().finish(unknowns, start)
-        self.spent = outcome.left > 0
-        return outcome
 
     def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         if number not in self._steps:
@@ -137,8 +131,12 @@ class TruncatedSteps:
 
     def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
             ) -> tuple[Outcome, list[np.ndarray] | None]:
-        multigrid, coarse = self._kept(hierarchy, run), None
-        kind = "given" if past.given else "zero"
+        multigrid, coarse, kind = self.multigrid, None, "given" if past.given else "zero"
+        if multigrid is None or not hierarchy.finest.discrete.alike(multigrid.problems[-1]):
+            multigrid = KeptMultigrid(self.parts, hierarchy, run, self.rtol, self.max_cycles)
+        else:
+            multigrid.take(hierarchy, run)
+        multigrid.rtol = self.rtol
         if self.start is not None:
             *coarse, start = multigrid.increment(self.start, past.levels)
             kind = "given" if past.given else "nested"
@@ -153,19 +151,11 @@ class TruncatedSteps:
             multigrid.pressures = run.pressures
         outcome = multigrid.finish(examiner.discrete.from_prescribed(start), kind)
         self.hold(outcome.rtol)
+        # what a cycle that ran away leaves behind is not used again
+        self.multigrid = None if outcome.left else multigrid
         return outcome, coarse
-
-    def _kept(self, hierarchy: Hierarchy, run: Run) -> KeptMultigrid:
-        multigrid = self.multigrid
-        if multigrid is None or multigrid.spent or not hierarchy.finest.discrete.alike(multigrid.problems[-1]):
-            self.multigrid = KeptMultigrid(self.parts, hierarchy, run, self.rtol, self.max_cycles)
-        else:
-            self.multigrid.take(hierarchy, run)
-        return self.multigrid
 
     def hold(self, rtol: float) -> None:
         """Keep the tolerance that the discretisation error of the first step has set: increments have smaller ones."""
         if self.rtol == "discretisation":
             self.rtol = max(rtol, StopTest.ROUNDING_LIMIT)
-            if self.multigrid is not None:
-                self.multigrid.rtol = self.rtol

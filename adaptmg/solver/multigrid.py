@@ -171,13 +171,11 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
     problem = hierarchy.finest.discrete
     start = outcome.displacement if outcome.better else None
     if outcome.left and factorisable(problem):
-        for first in (start, None) if outcome.better else (None,):
-            # from an interior point the second time
-            solver = ActiveSet(rtol=outcome.rtol, max_steps=max(outcome.left, 1),
-                               condensed=problem.dim * len(problem.contact.nodes) <= CONDENSED)
-            outcome = _continued(outcome, solver, "ActiveSet", first, hierarchy, run)
-            if outcome.status.ok or outcome.status is Status.ROUNDING:
-                return outcome
+        solver = ActiveSet(rtol=outcome.rtol, max_steps=max(outcome.left, 1),
+                           condensed=problem.dim * len(problem.contact.nodes) <= CONDENSED)
+        outcome = _continued(outcome, solver, "ActiveSet", start, hierarchy, run)
+        if outcome.status.ok or outcome.status is Status.ROUNDING:
+            return outcome
     if outcome.left and hierarchy.discretised and problem.volumes is None:
         solver = Multigrid(correction=Monotone(), rtol=outcome.rtol, max_cycles=outcome.left)
         return _continued(outcome, solver, "Monotone", start, hierarchy, run)

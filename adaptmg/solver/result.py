@@ -508,14 +508,10 @@ def problem_name(grids: Hierarchy) -> str:
 
 
 @lru_cache(maxsize=1)
-def _versions() -> dict[str, str]:
-    return {name: importlib.metadata.version(name)
-            for name in ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")}
-
-
 def versions() -> dict[str, str]:
     """Return the versions of adaptmg and of what its numbers depend on."""
-    return dict(_versions())
+    return {name: importlib.metadata.version(name)
+            for name in ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")}
 
 
 class NotConverged(RuntimeError):

@@ -286,8 +286,8 @@ def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, 
                   timings=run.timings, path=run.path, levels=grids.table(),
                   problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
                   choice=choice, mesh=mesh, start_work_units=run.start_work_units,
-                  versions=versions(), stress_data=stress_data, supports=supports, springs=springs, ties=examined.ties,
-                  pressures=outcome.pressures)
+                  versions=dict(versions()), stress_data=stress_data, supports=supports, springs=springs,
+                  ties=examined.ties, pressures=outcome.pressures)
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
