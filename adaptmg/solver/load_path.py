@@ -30,18 +30,17 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
-from adaptmg.solver.controls import Controls
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.load_steps import Past, Start, TruncatedSteps, better_start, coarse_displacements
+from adaptmg.solver.load_steps import Controls, Past, Start, TruncatedSteps, better_start, coarse_displacements
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
-from adaptmg.solver.record import Outcome, Run, Solver, Status
-from adaptmg.solver.result import KINDS, NotConverged, Result
-from adaptmg.solver.solve import (
+from adaptmg.solver.outcome import (
     checked_outcome,
     grids_argument,
     method_argument,
     result_of,
 )
+from adaptmg.solver.record import Outcome, Run, Solver, Status
+from adaptmg.solver.result import KINDS, NotConverged, Result
 from adaptmg.solver.statics import check_statics_of, warn_of_several_solutions
 from adaptmg.solver.store import StepStore, damage, fingerprint
 from adaptmg.solver.truncated import Truncated

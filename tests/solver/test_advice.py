@@ -11,8 +11,8 @@ from bodies import bar_hierarchy, bar_on_block
 
 import adaptmg as am
 from adaptmg._numba import compiling_seconds, kernel
+from adaptmg.solver import outcome as solving
 from adaptmg.solver import record
-from adaptmg.solver import solve as solving
 
 
 def bar(scale=1.0, young=1.3e11, poisson=0.2, material=am.PlaneStrain, pressure=1e7, above=0.0, divisions=(4, 8)):
