@@ -35,7 +35,7 @@ from adaptmg.smoother.interior_point import Conditions, dense_factors, interior_
 _SIZE = {2: (64, 4), 3: (80, 3)}
 #: beyond this number of nodes, by dimension: least nodes of an aggregate, and about the most aggregates, which bound
 #: the cost of the coarse matrix
-_MANY, _LARGE, _MOST = {2: 40_000, 3: 24_000}, 100, {2: 1800, 3: 300}
+_MANY, _LARGE, _MOST = {2: 40_000, 3: 24_000}, 100, {2: 1800, 3: 200}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
 #: of the diagonal, added to it: a status may take motions from an aggregate
@@ -109,9 +109,8 @@ class Aggregates:
         _grow(matrix.indptr, matrix.indices, group, sizes, depth, label, *np.empty((2, n), dtype=np.int32))
         label = _joined(matrix, label, group, sizes)
         inside = label >= 0
-        self.label, self.count = label[inside], label.max(initial=-1) + 1
-        self.starts = np.append(0, np.cumsum(inside))  # of the rows of the basis
-        self.diagonal = np.flatnonzero(matrix.indices == np.repeat(np.arange(n), np.diff(matrix.indptr)))  # blocks
+        self.label, self.count = label[inside].astype(np.int32), int(label.max(initial=-1)) + 1
+        self.starts = np.append(0, np.cumsum(inside)).astype(np.int32)  # of the rows of the basis
         self.motions = self._rigid(np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside)
 
     def _rigid(self, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
@@ -141,7 +140,7 @@ class Aggregates:
 aggregates_of = remembered_of_structure(Aggregates)
 
 
-class CoarseSolve:
+class CoarseCorrection:
     """B'(A + S)B of a contact status, factorised; S are blocks (n, dim, dim) at some nodes."""
 
     def __init__(self, matrix: sparse.bsr_array, basis: sparse.bsr_array, nodes: np.ndarray, stiffening: np.ndarray

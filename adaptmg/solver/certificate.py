@@ -114,12 +114,13 @@ class Certificate:
 
 @one_blas_thread()
 def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
-            rtol: float = 0.0, pressures: np.ndarray | None = None) -> Certificate:
+            rtol: float = 0.0, pressures: np.ndarray | None = None, residual: np.ndarray | None = None) -> Certificate:
     """Check a displacement and the contact forces and states that go with it; of a problem with volumes also their
-    ``pressures``, Pa. An energy error below a tenth of ``rtol`` is estimated by one step."""
+    ``pressures``, Pa. An energy error below a tenth of ``rtol`` is estimated by one step. ``residual``: b - A w, if it
+    was computed."""
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
-        evidence = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, pressures)
+        evidence = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, pressures, residual)
         energy, energy_rounding = evidence.energy_error(None if bound else aggregates_of(problem), rtol)
         lines = evidence.lines()
     return Certificate(lines, 0.0 if evidence.idle else energy, energy_rounding, bound, evidence.force, evidence.length,
@@ -164,16 +165,18 @@ class Evidence:
     """What the lines are made from. Forces of coupled bodies are those of the bodies, not of relative coordinates."""
 
     def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims,
-                 pressures: np.ndarray | None = None) -> None:
+                 pressures: np.ndarray | None = None, residual: np.ndarray | None = None) -> None:
         self.problem, self.contact, self.pressures = problem, contact, pressures
         self.nodes = problem.contact.nodes
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
-        images = problem.matrix @ self.unknowns.reshape(-1)
-        energy = _sum(self.unknowns, images) + (0.0 if problem.volumes is None else problem.volumes.energy(pressures))
+        load = problem.under(pressures).load
+        residual = load - problem.matrix @ self.unknowns.reshape(-1) if residual is None else residual
+        energy = _sum(self.unknowns, load - residual)
+        energy += 0.0 if problem.volumes is None else problem.volumes.energy(pressures)
         self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0))))
-        residual, diagonal = problem.under(pressures).load - images, problem.matrix.diagonal().reshape(shape)
+        diagonal = problem.matrix.diagonal().reshape(shape)
         self.fixed = problem.fixed.reshape(shape)
         self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
         self.normals = problem.contact.normals
@@ -372,9 +375,9 @@ class Evidence:
         beyond = stays & (excess > 0)
         against[beyond] = _directions(friction)[beyond]
         lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * free)
-        change = np.where(self.fixed, self.problem.fixed_values.reshape(unknowns.shape) - unknowns, 0.0)
-        at_contact = np.where(closed, gap, 0.0)[:, None] * normals - stays[:, None] * slip * free
-        change[nodes] = np.where(self.fixed[nodes], change[nodes], at_contact)
+        change = np.zeros_like(unknowns)
+        change[nodes] = np.where(closed, gap, 0.0)[:, None] * normals - stays[:, None] * slip * free
+        change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
         slides, along = ~stays | beyond, normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
         others = np.setdiff1d(np.flatnonzero(self.fixed.any(axis=1)), nodes)

@@ -40,7 +40,7 @@ from adaptmg._numba import kernel
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.blocks import ONE, ZERO, add, increase, read, subtract, times, transposed_times, write
 from adaptmg.smoother.strips import Strips
-from adaptmg.solver.aggregates import Aggregates, CoarseSolve, at_nodes
+from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, at_nodes
 
 #: least steps, the share of the energy that the last one may have left, and of the least Ritz value that stays; with
 #: volumes the share by which each of the last two steps may have changed the energy
@@ -74,14 +74,22 @@ class FrozenStatus:
         vector[self.held] = np.einsum("nij,nj->ni", self.kept, vector[self.held])
 
 
+def diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
+    """Return the diagonal blocks (n_nodes, dim, dim) of a matrix."""
+    numbers = np.arange(len(matrix.indices), dtype=np.int32)
+    return matrix.data[sparse.csr_array((numbers, matrix.indices, matrix.indptr)).diagonal()]
+
+
 def _inverses(blocks: np.ndarray) -> np.ndarray:
     """The inverses of (n, dim, dim) blocks by cofactors."""
     if blocks.shape[1] == 2:
-        (a, b), (c, d) = np.moveaxis(blocks, 0, -1)
-        adjugates = np.stack([d, -b, -c, a], axis=1).reshape(blocks.shape)
+        adjugates = np.empty_like(blocks)
+        adjugates[:, 0, 0], adjugates[:, 1, 1] = blocks[:, 1, 1], blocks[:, 0, 0]
+        adjugates[:, 0, 1], adjugates[:, 1, 0] = -blocks[:, 0, 1], -blocks[:, 1, 0]
     else:
         adjugates = np.cross(blocks[:, [1, 2, 0]], blocks[:, [2, 0, 1]]).swapaxes(1, 2)
-    return adjugates / np.einsum("nk,nk->n", blocks[:, 0], adjugates[:, :, 0])[:, None, None]
+    adjugates /= np.einsum("nk,nk->n", blocks[:, 0], adjugates[:, :, 0])[:, None, None]
+    return adjugates
 
 
 @kernel
@@ -133,13 +141,14 @@ class _Preconditioner:
     """Forward Gauss-Seidel, coarse correction, backward Gauss-Seidel on the matrix of a status."""
 
     def __init__(self, matrix: sparse.bsr_array, status: FrozenStatus, aggregates: Aggregates) -> None:
-        blocks, held, kept = matrix.data[aggregates.diagonal], status.held, status.kept
+        held, kept = status.held, status.kept
+        blocks = diagonal_blocks(matrix)
         dim = blocks.shape[1]
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
-        self._coarse = CoarseSolve(matrix, aggregates.basis(held, kept), status.nodes, status.stiffening)
         blocks[status.nodes] += status.stiffening
+        self._coarse = CoarseCorrection(matrix, aggregates.basis(held, kept), status.nodes, status.stiffening)
         # what is projected away has no stiffness
         stiffness, axes = np.linalg.eigh(kept @ blocks[held] @ kept)
         size = np.abs(stiffness)

@@ -268,7 +268,7 @@ class Examiner:
         displacement = discrete.physical(solved.reshape(discrete.n_nodes, discrete.dim))
         contact = self._contact_result(solved, residual)
         natural = self._residual(solved, residual, pressures)
-        checked = certify(discrete, displacement, contact, rtol=rtol, pressures=pressures)
+        checked = certify(discrete, displacement, contact, rtol=rtol, pressures=pressures, residual=residual)
         residual = -residual
         if discrete.inclined is not None:
             residual += discrete.inclined.reaction(solved)

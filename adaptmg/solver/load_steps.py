@@ -9,7 +9,8 @@ with its history :math:`u_l^0, u_l^1, \dots` and slips measured against that. Th
 discretisation error of the increment, not of the whole displacement; it finds nodes that stick, and slips that turn
 round when a load is taken back, where the interpolation of the whole displacement would let every node slip.
 
-The motion of a Rigid obstacle and the strain of a Preload, which transmit a force, are a few unknowns z stand next to the contact problem, with the equations
+The motion of a Rigid obstacle and the strain of a Preload, which transmit a force, are a few unknowns z next to the
+contact problem, with the equations
 
 .. math:: F(z) = F^* : \quad \text{resultant and moment of the contact forces of an obstacle, force across a cut} .
 

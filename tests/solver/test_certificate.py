@@ -10,7 +10,7 @@ from scipy.sparse.linalg import spsolve
 from study_scripts import load
 
 import adaptmg as am
-from adaptmg.solver.aggregates import Aggregates, CoarseSolve
+from adaptmg.solver.aggregates import Aggregates, CoarseCorrection
 from adaptmg.solver.certificate import Certificate, certify
 from adaptmg.solver.record import Outcome
 
@@ -343,7 +343,7 @@ def test_the_coarse_correction_is_galerkins(problem):
     np.testing.assert_allclose(spanned, motions, atol=1e-10 * abs(motions).max())
     dense, residual = discrete.matrix.toarray(), np.random.default_rng(0).standard_normal(n * dim)
     blocks = np.stack([np.diag(row) for row in discrete.matrix.diagonal().reshape(n, dim)])
-    coarse = CoarseSolve(discrete.matrix, basis, every, blocks)(residual)
+    coarse = CoarseCorrection(discrete.matrix, basis, every, blocks)(residual)
     basis, dense = basis.toarray(), dense + np.diag(np.diag(dense))
     exact = basis @ np.linalg.solve(basis.T @ dense @ basis, basis.T @ residual)
     np.testing.assert_allclose(coarse, exact, atol=1e-8 * abs(exact).max())
