@@ -13,7 +13,7 @@ def contact_meshes(problem: am.ContactProblem, finest: float, levels: int, gradi
     extent = max(np.max(part.upper - part.lower) for part in domain.parts.values())
     steps = [(finest * 2.0**k, min(1.0, grading * 2.0**k)) for k in reversed(range(levels))]
     return [am.mesh.sized(domain, am.SizeNear([(0.0,) * problem.dim], size=h * a, radius=1.3 * a, grading=growth),
-                          0.65 * growth * extent, 5, grading=growth) for h, growth in steps]
+                          0.65 * growth * extent, grading=growth) for h, growth in steps]
 
 
 def pressure_fit(x, pressure, half_width, share=0.8):
