@@ -73,7 +73,7 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
     in_parts(_add_patches, mesh.n_nodes, data.size, (0.0,) * dim, of_nodes.indptr, of_nodes.indices, patches.start,
              patches.nodes, patches.slopes, patches.hoops, patches.spread, patches.measures,
              of_elements.rows[patches.element], of_elements.table, indptr, indices, data)
-    in_parts(_mirror, mesh.n_nodes, data.size, indptr, indices, data)
+    _mirror((0.0,) * dim, indptr, indices, data)
     if len(indices) < 2**31:
         indptr = indptr.astype(np.int32)
     for array in (indices, indptr):
@@ -303,18 +303,16 @@ def _add_patches(first, last, zero, start, patches, begin, nodes, slopes, hoops,
 
 
 @kernel
-def _mirror(first, last, indptr, indices, data):
+def _mirror(zero, indptr, indices, data):
     """Write the lower half of rows, diagonal blocks included: the transposes of the upper one."""
-    for i in range(first, last):
-        for at in range(indptr[i], indptr[i + 1]):
-            if indices[at] > i:
-                break
-            other = indptr[indices[at]]
-            while indices[other] != i:  # the pattern is symmetric
-                other += 1
-            for k in range(data.shape[1]):
-                for m in range(data.shape[1]):
-                    data[at, k, m] = data[other, m, k]
+    place = indptr.copy()  # the next block of each row: those before the diagonal come in the order of their columns
+    for i in range(len(indptr) - 1):
+        for at in range(place[i], indptr[i + 1]):
+            other = place[indices[at]]
+            place[indices[at]] += 1
+            for k in range(len(zero)):
+                for m in range(k if other == at else len(zero)):
+                    data[other, k, m] = data[at, m, k]
 
 
 def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
