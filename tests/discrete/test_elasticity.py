@@ -257,16 +257,6 @@ def test_resultants(load, force, moment):
     np.testing.assert_allclose(found[1], moment, atol=1e-13)
 
 
-def test_consistent_nodal_forces():
-    # one edge of length 2 under p = x: the P1 values 2/3 and 4/3
-    mesh = structured(Rectangle(width=2.0, height=1.0), 1)
-    load = load_vector(mesh, [Pressure("bottom", lambda x: x[:, 0])]).reshape(-1, 2)
-    np.testing.assert_allclose(load[mesh.boundary_nodes("bottom"), 1], [2 / 3, 4 / 3])
-    # int 2 pi r phi_i over an edge of length L: pi L (2 r_i + r_j) / 3; on the axis itself it is not zero
-    load = load_vector(mesh, [Pressure("bottom", 1.0)], STEEL).reshape(-1, 2)
-    np.testing.assert_allclose(load[mesh.boundary_nodes("bottom"), 1], np.pi * 2 / 3 * np.array([2, 2 * 2]))
-
-
 # the powers of r and z in the volume and at the top come from int r^n dr; k = 2e5
 @pytest.mark.parametrize(("load", "force", "work"), [
     (Pressure("top", 3e6), [0.0, -3e6 * np.pi * (OUTER**2 - INNER**2)], None),

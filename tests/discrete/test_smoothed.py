@@ -83,18 +83,6 @@ def test_the_kernels_compute_the_same_uncompiled_and_in_parts(kind, monkeypatch)
     np.testing.assert_allclose(stiffness(mesh, materials, "smoothed").data, compiled.data, rtol=1e-13, atol=1e-3)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_strains_that_jump_between_glued_materials_are_exact(dim):
-    mesh, materials = MESHES[dim], two(am.PlaneStrain if dim == 2 else am.Solid)
-    left, right = (one.lame + 2 * one.shear_modulus for one in materials.values())
-    x, exact = mesh.points[:, 0], np.zeros(mesh.points.shape)
-    exact[:, 0] = np.where(x < 1.0, x / left, 1.0 / left + (x - 1.0) / right)
-    held = np.isin(np.arange(mesh.n_nodes), mesh.facets).repeat(dim)
-    matrix, u = stiffness(mesh, materials, "smoothed").toarray(), exact.reshape(-1) * held
-    u[~held] = np.linalg.solve(matrix[np.ix_(~held, ~held)], -(matrix @ u)[~held])
-    np.testing.assert_allclose(u.reshape(exact.shape), exact, rtol=0, atol=1e-13 * exact.max())
-
-
 @EACH_KIND
 def test_energy_matrix_and_loads_of_initial_strains_belong_together(kind):
     """u'K'u / 2 - b'u is the energy of elastic strains less that of u = 0, for initial strains that vary."""
