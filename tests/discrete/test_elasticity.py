@@ -172,6 +172,10 @@ def test_patch_test(mesh, material, elements):
     data = StressData.of(mesh, material, elements=elements)
     stress = data.tensors(mesh, u)
     assert 2 * data.energy(mesh, u) == pytest.approx(u @ matrix @ u, rel=1e-12)
+    if isinstance(material, dict) and isinstance(material["lower"], PlaneStress):
+        through = [-one.poisson / (1 - one.poisson) for one in map(material.get, mesh.bodies)]
+        thickened = np.array(through)[mesh.element_body] * np.trace(strain)
+        np.testing.assert_allclose(data.strains(mesh, u)[:, 2, 2], thickened, rtol=1e-10)
     work = measures(mesh, axisymmetric) @ np.einsum("eij,ij->e", stress, strain)
     assert u @ matrix @ u == pytest.approx(work, rel=1e-12)
     if not isinstance(material, dict):
