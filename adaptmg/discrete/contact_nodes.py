@@ -15,8 +15,6 @@ from adaptmg._text import brief
 from adaptmg.problem.contact_problem import CONTACT
 from adaptmg.problem.laws import Law
 
-ROUNDING = 1e-12  # of the size of a body: a negative gap below this is rounding, not interference
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactNodes:
@@ -134,34 +132,6 @@ class ContactNodes:
     def dim(self) -> int:
         """Space dimension."""
         return self.normals.shape[1]
-
-
-@dataclass(frozen=True, eq=False)
-class Stops:
-    """Obstacles in front of nodes that supports hold, which must lie on the right side of them."""
-
-    nodes: np.ndarray  # (n,) int
-    normals: np.ndarray  # (n, dim)
-    gaps: np.ndarray  # (n,), m
-    boundary: np.ndarray  # (n,) of str
-
-    @classmethod
-    def together(cls, parts: list[Stops]) -> Stops | None:
-        """Return the stops of several boundaries, None if there is none."""
-        if not any(len(part.nodes) for part in parts):
-            return None
-        return cls(*(np.concatenate([getattr(part, name) for part in parts])
-                     for name in ("nodes", "normals", "gaps", "boundary")))
-
-    def check(self, moved: np.ndarray) -> None:
-        """Raise ValueError if the prescribed part of a displacement (n_nodes, dim) crosses an obstacle."""
-        own = moved[self.nodes]
-        over = np.einsum("nd,nd->n", self.normals, own) - self.gaps
-        over -= ROUNDING * (np.abs(own).max(axis=1, initial=0.0) + np.abs(self.gaps))
-        if (over > 0).any():
-            i = int(np.argmax(over))
-            raise ValueError(f"a support holds node {self.nodes[i]} of contact boundary {str(self.boundary[i])!r} "
-                             f"{over[i]:.6g} m inside its obstacle: move the support less, or the obstacle")
 
 
 # entries of matrices and nodal forces beyond these come from no physical problem: energies leave the range of float64

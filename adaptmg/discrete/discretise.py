@@ -36,7 +36,7 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg._on_demand import OnDemand
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.contact_nodes import Stops, bounded, check_bounds, check_size
+from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
 from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import nodes_of_pieces, rigid_motions
 from adaptmg.discrete.loads import load_vector, supported_stiffness
@@ -44,6 +44,7 @@ from adaptmg.discrete.moduli import Materials, body_materials
 from adaptmg.discrete.mortar import MortarInterface, pair_interface, slave_normals
 from adaptmg.discrete.obstacles import (
     TANGENTIAL,
+    check_held,
     free_normals,
     in_front_of,
     lumped_masses,
@@ -103,7 +104,7 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     fixed, values = fixed_dofs(mesh, problem.supports)
     held = HeldNodes(fixed.reshape(-1, mesh.dim), inclined_supports(mesh, problem.supports))
     ties = tie_interfaces(problem.ties, mesh, held, problem.axisymmetric)
-    contact, weights, stops = _contact(problem, mesh, slip_reference, held, ties)
+    contact, weights = _contact(problem, mesh, slip_reference, held, ties)
     for tie, part in zip(problem.ties, ties, strict=True):
         values.reshape(-1, mesh.dim)[part.nodes] += jump_of(tie, part.nodes, held)
     materials = body_materials(mesh, problem.material)
@@ -112,7 +113,6 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
              "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
              "law": _nodal_law(problem, mesh, contact),
              "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)), "inclined": held.inclined,
-             "stops": stops,
              "ties": tuple((tie.slave, tie.master, part.nodes)
                            for tie, part in zip(problem.ties, ties, strict=True)),
              "name": f"{problem.name}, {mesh.n_nodes} nodes"}
@@ -124,7 +124,9 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     parts |= _strain_free(problem, mesh, materials, parts.get("volumes"))
     for array in (parts["load"], fixed, values, *bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
-    return DiscreteProblem.assembled(weights, **parts)
+    result = DiscreteProblem.assembled(weights, **parts)
+    check_held(problem, mesh, result)
+    return result
 
 
 def _nodal_law(problem: ContactProblem, mesh: MeshArrays, contact: ContactNodes) -> Law:
@@ -221,18 +223,18 @@ def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) ->
 
 
 def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, held: HeldNodes,
-             ties: Sequence[MortarInterface]) -> tuple[ContactNodes, sparse.csr_array | None, Stops | None]:
+             ties: Sequence[MortarInterface]) -> tuple[ContactNodes, sparse.csr_array | None]:
     """Contact nodes and what they face; without slave nodes that supports hold along the surface."""
     excluded = np.empty(0, dtype=np.int64)
     while True:
-        contact, weights, stops = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded,
+        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded,
                                                held=held, ties=ties)
         if weights is None:
-            return contact, None, stops
+            return contact, None
         law = _nodal_law(problem, mesh, contact)
         lone = held_slaves(contact.nodes, weights, held.fixed.reshape(-1), law, held.inclined)
         if not len(lone):
-            return contact, weights, stops
+            return contact, weights
         for k in np.unique(contact.boundary[lone]):
             if any(one.boundary == contact.names[k] for one in problem.supports):
                 raise ValueError(f"a support holds slave {contact.names[k]!r} along its surface, where friction acts: "
@@ -266,9 +268,9 @@ def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.
 def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
                  excluded: np.ndarray | None = None, held: HeldNodes | None = None,
                  ties: Sequence[MortarInterface] = ()
-                 ) -> tuple[ContactNodes, sparse.csr_array | None, Stops | None]:
-    """Return the nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow;
-    and what stops nodes that supports move. ``excluded`` slave nodes carry no multiplier; ``slip_reference`` (n_nodes,
+                 ) -> tuple[ContactNodes, sparse.csr_array | None]:
+    """Return the nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow.
+    ``excluded`` slave nodes carry no multiplier; ``slip_reference`` (n_nodes,
     dim) is a displacement, m. Nodes of ``ties`` carry no contact."""
     owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
     surfaces = [mesh.surface(name) for name in problem.contact_boundaries]
@@ -286,7 +288,7 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
         held = HeldNodes(fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim),
                          inclined_supports(mesh, problem.supports))
     nothing = np.empty(0, dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0)
-    parts, stops = [], []
+    parts = []
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
             mine = surfaces[k].nodes
@@ -298,9 +300,7 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
             parts.append(pair_interface(mesh, contact, held=held, excluded=without,
                                         axisymmetric=problem.axisymmetric))
         else:
-            part, before = in_front_of(contact, problem, mesh, surfaces, owner, k, held)
-            parts.append(part)
-            stops += before
+            parts.append(in_front_of(contact, problem, mesh, surfaces, owner, k, held))
     parts.append(MortarInterface(*nothing))
     boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
     nodes = np.concatenate([part.nodes for part in parts])
@@ -324,7 +324,7 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
                            slip_reference=slip_reference,
                            allow_interference=any(map(may_overlap, problem.contact)),
                            names=problem.contact_boundaries, masters=problem.masters)
-    return contact, _followed([*parts, *ties], mesh.n_nodes), Stops.together(stops)
+    return contact, _followed([*parts, *ties], mesh.n_nodes)
 
 
 def _passed_on(masses: np.ndarray, ties: Sequence[MortarInterface], nodes: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.contact_nodes import ROUNDING, Stops
 from adaptmg.discrete.mortar import MortarInterface, slave_normals
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.supports import HeldNodes, held_directions
@@ -22,13 +21,14 @@ from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.surfaces import ContactPair, Moving, Obstacle, Rigid
 
+_ROUNDING = 1e-12  # of the size of a body: a negative gap below this is rounding, not interference
 TANGENTIAL = 1e-8  # a component of a unit normal below this is none
 _TURNED = 1e-14  # normals that turn by less than this do not
 
 
 def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
-                owner: np.ndarray, k: int, held: HeldNodes) -> tuple[MortarInterface, list[Stops]]:
-    """Return the nodes of contact boundary k in front of a rigid obstacle, and those that supports hold there."""
+                owner: np.ndarray, k: int, held: HeldNodes) -> MortarInterface:
+    """Return the nodes of contact boundary k in front of a rigid obstacle."""
     nodes = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
     try:
         averaged = slave_normals(surfaces[k], held)[nodes]
@@ -36,23 +36,42 @@ def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, sur
         raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
     normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
     gaps = np.array(gaps, dtype=np.float64)
-    if len(nodes) and gaps.min() < 0:
-        gaps[(gaps < 0) & (gaps > -ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
-    if len(nodes) and gaps.min() < 0 and not may_overlap(contact):
+    gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
+    if gaps.min(initial=0.0) < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))
         raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
                          f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
                          "allow_interference=True for an interference fit")
     free = free_normals(problem, mesh, k, nodes, normals, held)
-    length = np.linalg.norm(free, axis=1)
-    kept, partly = length > TANGENTIAL, _held_in_part(free, normals)
-    # where a part of the normal is held a motion along it, either way, would change the gap
-    cases = () if contact.allow_interference else ((~kept, 1, gaps), (partly, 1, 0 * gaps), (partly, -1, 0 * gaps))
-    stops = [Stops(nodes[here], sign * normals[here], far[here], np.full(here.sum(), contact.boundary))
-             for here, sign, far in cases]
+    kept = np.linalg.norm(free, axis=1) > TANGENTIAL
     normals, gaps = along_free(free, normals, gaps)
     weights = lumped_masses(problem, surfaces, nodes[kept], k, averaged[kept])
-    return MortarInterface(nodes[kept], normals[kept], weights, gaps[kept]), stops
+    return MortarInterface(nodes[kept], normals[kept], weights, gaps[kept])
+
+
+def check_held(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem,
+               factors: Mapping[str, float] | None = None, places: Mapping[int, Moving] | None = None) -> None:
+    """Raise ValueError if supports hold nodes in a load step inside an obstacle, in its place of this step."""
+    held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
+    moved = discrete.fixed_values.reshape(mesh.points.shape).copy()
+    if discrete.inclined is not None:
+        moved[discrete.inclined.nodes] += discrete.inclined.prescribed(factors or {})
+    for k, contact in enumerate(problem.contact):
+        if contact.allow_interference or isinstance(contact, ContactPair):
+            continue
+        obstacle = (places or {}).get(k, _first(contact))
+        if not moved.any() and not isinstance(obstacle, Moving):
+            continue
+        nodes, outward = mesh.surface(contact.boundary).nodes, slave_normals(mesh.surface(contact.boundary), held)
+        normals, gaps = facing_obstacle(obstacle, contact.boundary, mesh.points[nodes], outward[nodes])
+        free, along = held.free_part(nodes, normals), np.einsum("nd,nd->n", normals, moved[nodes])
+        # where a part of the normal is held a motion along it, either way, would change the gap
+        over = np.where(_held_in_part(free, normals), np.abs(along), along - gaps)
+        over[(free == normals).all(axis=1)] = 0.0
+        i = int(np.argmax(over))
+        if over[i] > _ROUNDING * (np.abs([along[i], gaps[i]]).max() + np.ptp(mesh.points, axis=0).max()):
+            raise ValueError(f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {over[i]:.6g} "
+                             "m inside its obstacle: move the support less, or the obstacle")
 
 
 def lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
@@ -78,15 +97,11 @@ def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, norma
     answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
         raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")
-    directions, gaps = answer
-    if np.shape(directions) != points.shape or np.shape(gaps) != (len(points),):
-        raise ValueError(f"{name} must return normals {points.shape} and gaps ({len(points)},), got "
-                         f"{np.shape(directions)} and {np.shape(gaps)}")
-    directions = checks.array(f"{name}: its normals", directions, points.shape)
+    directions = checks.array(f"{name}: its normals", answer[0], points.shape)
     lengths = np.linalg.norm(directions, axis=1)
     if len(points) and not np.abs(lengths - 1).max() <= 1e-6:
         raise ValueError(f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}")
-    return directions, checks.array(f"{name}: its gaps", gaps, (len(points),))
+    return directions, checks.vector(f"{name}: its gaps", answer[1], len(points))
 
 
 def along_free(free: np.ndarray, normals: np.ndarray, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -151,22 +166,14 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
     held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
     contact = discrete.contact
     normals, gaps, reference = contact.normals.copy(), contact.gaps.copy(), contact.slip_reference.copy()
-    stops = discrete.stops
     for k, obstacle in now.items():
         own = np.flatnonzero(contact.boundary == k)
         points, boundary = mesh.points[contact.nodes[own]], problem.contact[k].boundary
         outward = slave_normals(mesh.surface(boundary), held)
         direct, gap = facing_obstacle(obstacle, boundary, points, outward[contact.nodes[own]])
-        if stops is not None:
-            # nodes that are among those in contact are stopped by what holds them in part
-            mine = np.flatnonzero((stops.boundary == boundary) & ~np.isin(stops.nodes, contact.nodes))
-            at, directions, away = stops.nodes[mine], stops.normals.copy(), stops.gaps.copy()
-            directions[mine], away[mine] = facing_obstacle(obstacle, boundary, mesh.points[at], outward[at])
-            stops = replace(stops, normals=directions, gaps=away)
         normals[own], gaps[own] = along_free(held.free_part(contact.nodes[own], direct), direct, gap)
         reference[own] += obstacle.motion(points) - before[k].motion(points)
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _TURNED
     new = replace(contact, normals=normals if turned else contact.normals, gaps=gaps, slip_reference=reference,
                   allow_interference=True)
-    result = discrete.facing(new) if turned else discrete.posing(contact=new)
-    return result.posing(stops=stops)
+    return discrete.facing(new) if turned else discrete.posing(contact=new)

@@ -28,7 +28,6 @@ from adaptmg._on_demand import OnDemand, Token, made_on_demand, remembered
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     ContactNodes,
-    Stops,
     bounded,
     check_bounds,
     check_size,
@@ -69,9 +68,9 @@ class DiscreteProblem(Unknowns):
         Rigid-body modes of the free body; made from ``coordinates`` where not given.
     name : str
         For tables.
-    coupling, bodies, strain_free, inclined, ties, stops, volumes
+    coupling, bodies, strain_free, inclined, ties, volumes
         What :func:`adaptmg.discretise` adds for several bodies (:meth:`coupled` makes the coupling), initial strains,
-        supports along directions that are no axes, ties, moving obstacles and nearly incompressible bodies.
+        supports along directions that are no axes, ties and nearly incompressible bodies.
 
     Examples
     --------
@@ -100,7 +99,6 @@ class DiscreteProblem(Unknowns):
     inclined: Inclined | None = None  # supports along no axes, which are eliminated from matrix and load
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
     ties: tuple[tuple[str, str, np.ndarray], ...] = ()
-    stops: Stops | None = None  # obstacles that what supports prescribe must not cross
     volumes: Volumes | None = None  # groups of nodes whose mean volume strains add to the stiffness
 
     if TYPE_CHECKING:
@@ -125,7 +123,6 @@ class DiscreteProblem(Unknowns):
         result.__dict__.update({one.name: parts.get(one.name, one.default) for one in fields(cls)},
                                matrix=indices_frozen(parts["matrix"]))
         result._complete()
-        result.check_stops({})
         return result
 
     @classmethod
@@ -195,14 +192,6 @@ class DiscreteProblem(Unknowns):
         return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact,
                            strain_free=strain_free, inclined=inclined,
                            volumes=self.volumes if volumes is None else volumes)
-
-    def check_stops(self, factors: Mapping[str, float]) -> None:
-        """Raise ValueError if what supports hold in a load step lies inside an obstacle."""
-        if self.stops is not None:
-            moved = self.fixed_values.reshape(-1, self.dim).copy()
-            if self.inclined is not None:
-                moved[self.inclined.nodes] += self.inclined.prescribed(factors)
-            self.stops.check(moved)
 
     def posing(self, **parts: object) -> DiscreteProblem:
         """Return the same with other parts (load, law, ...), which have been checked."""

@@ -23,7 +23,7 @@ from adaptmg._files import make_folder
 from adaptmg._text import html_table, in_html_lines, say, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.discretise import LoadSteps, load_steps, whole_load
-from adaptmg.discrete.obstacles import moved
+from adaptmg.discrete.obstacles import check_held, moved
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
@@ -347,7 +347,7 @@ class PathLoop:
         if parts:
             result, (grids, forces, coarse), motions = self.controls.find(
                 parts, lambda motions, near: self._solve(k, motions, near, progress))
-            grids.finest.discrete.check_stops(factors)
+            self._check_held(grids, k, motions)
         else:
             result, (grids, forces, coarse) = self._solve(k, motions, None, progress)
         result = replace(result, mesh=result.mesh_or_none,
@@ -367,7 +367,7 @@ class PathLoop:
         with run.phase("setup"):
             grids = self._posed(k, motions)
             if not self.controls.rigid:  # these move until their forces fit, and may go too far on the way
-                grids.finest.discrete.check_stops(self._factors_at(k))
+                self._check_held(grids, k, motions)
             forces = grids.finest.discrete.load_from_prescribed()
             run.examiner = self.examiner = Examiner(grids.finest.discrete)
             past = Past(self.levels, self.recent[-1][0], self._start(forces, near), len(self.recent) > 1)
@@ -383,6 +383,12 @@ class PathLoop:
         with run.phase("result"):
             result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions))
         return result, (grids, forces, coarse)
+
+    def _check_held(self, grids: Hierarchy, k: int, motions: Mapping[str, np.ndarray]) -> None:
+        if self.controls.problem is not None:
+            factors = self._loading(k, motions)
+            check_held(self.controls.problem, grids.finest.mesh, grids.finest.discrete, factors,
+                       self.controls.placed(factors, motions))
 
     def report(self, k: int, result: Result) -> str:
         """Return how a step ended, as text."""

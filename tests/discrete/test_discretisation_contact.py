@@ -117,7 +117,7 @@ DEEP = am.GapFunction(lambda x: np.full(len(x), -0.1))
      "support on 'bottom' fixes a component with a part normal to contact boundary"),
     ({"contact": am.Contact("crack", TOUCHING), "loads": ()},
      "contact boundary 'crack': the surface has no normal at node 0"),
-    ({"contact": am.Contact("bottom", Wrong())}, "obstacle in front of 'bottom' must return normals"),
+    ({"contact": am.Contact("bottom", Wrong())}, "obstacle in front of 'bottom': its normals must have shape"),
 ])
 def test_refusals(changes, message):
     with pytest.raises(ValueError, match=message):
