@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from adaptmg.problem.laws import Law
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ContactNodes:
+class ContactNodes(checks.Checked):
     """Nodes that may touch an obstacle.
 
     Parameters
@@ -48,14 +48,14 @@ class ContactNodes:
     2
     """
 
-    nodes: np.ndarray
+    nodes: Annotated[np.ndarray, partial(check_arrays.array, shape=(None,), integer=True)]
     normals: np.ndarray
     gaps: np.ndarray
     weights: np.ndarray | None = None
     slip_reference: np.ndarray | None = None
-    allow_interference: bool = False
+    allow_interference: checks.Flag = False
     boundary: np.ndarray | None = None
-    names: tuple[str, ...] = ("contact",)
+    names: Annotated[tuple[str, ...], checks.strings] = ("contact",)
     masters: tuple[str, ...] | None = None
 
     __repr__ = brief
@@ -66,11 +66,10 @@ class ContactNodes:
                      masters: tuple[str, ...] | None = None) -> None: ...
 
     def __post_init__(self) -> None:
-        nodes = checks.array("nodes", self.nodes, (None,), integer=True)
-        n = len(nodes)
-        if len(np.unique(nodes)) < n or nodes.min(initial=0) < 0:
+        super().__post_init__()
+        n = len(self.nodes)
+        if len(np.unique(self.nodes)) < n or self.nodes.min(initial=0) < 0:
             raise ValueError("nodes must be distinct and >= 0")
-        checks.flag("allow_interference", self.allow_interference)
         normals = bounded("normals", self.normals, (n, None), 2.0)
         if normals.shape[1] not in (2, 3):
             raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
@@ -89,30 +88,19 @@ class ContactNodes:
         if not weights.min(initial=1.0) >= SMALLEST:
             raise ValueError(f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}")
         reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
-        reference = bounded("slip_reference", reference, normals.shape, checks.VAST)
-        names, masters = self._names()
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
         boundary = checks.array("boundary", boundary, (n,), integer=True)
-        if boundary.min(initial=0) < 0 or boundary.max(initial=-1) >= len(names):
-            wrong = boundary.min() if boundary.min() < 0 else boundary.max()
-            raise ValueError(f"boundary must index names ({len(names)} given), got {wrong}")
-        for name, value in (("nodes", nodes), ("normals", normals), ("gaps", gaps), ("weights", weights),
-                            ("slip_reference", reference), ("boundary", boundary), ("names", names),
+        if not ((boundary >= 0) & (boundary < len(self.names))).all():
+            raise ValueError(f"boundary must index names ({len(self.names)} given), got {boundary}")
+        masters = ("",) * len(self.names) if self.masters is None else tuple(
+            item and checks.boundary_name(f"masters[{i}]", item)
+            for i, item in enumerate(checks.listed("masters", self.masters, "names")))
+        if len(masters) != len(self.names):
+            raise ValueError(f"masters must go with names ({len(self.names)}), got {len(masters)}")
+        for name, value in (("normals", normals), ("gaps", gaps), ("weights", weights), ("boundary", boundary),
+                            ("slip_reference", bounded("slip_reference", reference, normals.shape, checks.VAST)),
                             ("masters", masters)):
             object.__setattr__(self, name, value)
-
-    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Names of the contact boundaries and of what they may touch, checked."""
-        names = checks.strings("names", self.names)
-        if not names and len(self.nodes):
-            raise ValueError("names is empty: give one name at least")
-        masters = ("",) * len(names)
-        if self.masters is not None:
-            masters = tuple("" if isinstance(item, str) and not item else checks.boundary_name(f"masters[{i}]", item)
-                            for i, item in enumerate(checks.listed("masters", self.masters, "names")))
-        if len(masters) != len(names):
-            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
-        return names, masters
 
     def check_name_contact(self) -> None:
         """Raise ValueError if one of several names is "contact", which stands for all contact boundaries together."""
@@ -161,31 +149,25 @@ def check_size(name: str, size: float) -> None:
 
 def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
     """Return a read-only copy of a boolean mask over dofs."""
-    try:
-        given = np.asarray(value)
-    except ValueError:
-        given = np.asarray(None)
-    if given.dtype != bool:
-        raise TypeError(f"{name} must be a boolean mask over the{'' if n is None else f' {n}'} dofs, "
-                        f"got {checks.shown(value) if given.dtype == object else given.dtype}")
-    if given.ndim != 1 or (n is not None and len(given) != n):
-        raise ValueError(f"{name} must have shape ({'n' if n is None else n},), got {given.shape}")
-    if given.base is not None or given.flags.writeable:
-        given = given.copy()
-        given.flags.writeable = False
-    return given
+    mask = np.asarray(value) if hasattr(value, "dtype") else np.array(value, dtype=object)
+    if mask.dtype != bool and not all(isinstance(one, (bool, np.bool_)) for one in mask.ravel()):
+        raise TypeError(f"{name} must be a boolean mask over the dofs, got {checks.shown(value)}")
+    if mask.ndim != 1 or (n is not None and len(mask) != n):
+        raise ValueError(f"{name} must have shape ({'n' if n is None else n},), got {mask.shape}")
+    if mask.dtype != bool or mask.base is not None or mask.flags.writeable:
+        mask = mask.astype(bool)
+        mask.flags.writeable = False
+    return mask
 
 
 def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
     """Return nodes by body, checked."""
-    checks.instance("bodies", bodies, Mapping, "a mapping of names to arrays of nodes")
-    result = {checks.boundary_name("the names in bodies", name): checks.array(f"bodies[{name!r}]", nodes, (None,),
-                                                                              integer=True)
-              for name, nodes in bodies.items()}
-    for name, nodes in result.items():
+    result = {}
+    for body, nodes in checks.mapping("bodies", bodies, "names to arrays of nodes").items():
+        name = f"bodies[{checks.boundary_name('the names in bodies', body)!r}]"
+        result[body] = nodes = checks.array(name, nodes, (None,), integer=True)
         if len(nodes) and not (nodes.min() >= 0 and nodes.max() < n_nodes):
-            raise ValueError(f"bodies[{name!r}] must be node numbers from 0 to {n_nodes - 1}, got {nodes.min()} to "
-                             f"{nodes.max()}")
+            raise ValueError(f"{name} must be node numbers from 0 to {n_nodes - 1}, got {nodes.min()} to {nodes.max()}")
     return result
 
 
