@@ -11,17 +11,17 @@ a Tresca limit s plus a Coulomb part. A user-defined law is any object with the 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar, runtime_checkable
+from functools import partial
+from typing import Annotated, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
+from adaptmg._checks import FieldLike
 from adaptmg._text import brief, html_fields
 
-FieldLike = float | Callable[[np.ndarray], np.ndarray]
 _AnyLaw = TypeVar("_AnyLaw")
 
 
@@ -76,6 +76,9 @@ def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike
     return value
 
 
+Parameter = Annotated[FieldLike | ArrayLike, partial(checks.function_or, check=_parameter)]
+
+
 def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> np.ndarray:
     if isinstance(value, np.ndarray) and value.ndim:
         raise TypeError(f"{name} must be a number or a function of position on a ContactProblem; arrays over contact "
@@ -109,7 +112,7 @@ class Frictionless:
 
 
 @dataclass(frozen=True, eq=False)
-class Tresca:
+class Tresca(checks.Checked):
     """Tresca friction: ``|f_t| <= limit``, independent of the pressure.
 
     Parameters
@@ -124,12 +127,9 @@ class Tresca:
     2000000.0
     """
 
-    limit: FieldLike | ArrayLike
+    limit: Parameter
 
     __repr__, _repr_html_ = brief, html_fields
-
-    def __post_init__(self) -> None:
-        checks.convert(self, checks.function_or, "limit", check=_parameter)
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Tresca:
         """Return the law with nodal forces: traction times lumped boundary mass."""
@@ -140,7 +140,7 @@ class Tresca:
 
 
 @dataclass(frozen=True, eq=False)
-class Coulomb:
+class Coulomb(checks.Checked):
     """Coulomb friction: ``|f_t| <= friction * p``.
 
     Parameters
@@ -155,12 +155,9 @@ class Coulomb:
     >>> rough = am.Coulomb(lambda x: 0.1 + x[:, 0])
     """
 
-    friction: FieldLike | ArrayLike
+    friction: Parameter
 
     __repr__, _repr_html_ = brief, html_fields
-
-    def __post_init__(self) -> None:
-        checks.convert(self, checks.function_or, "friction", check=_parameter)
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Coulomb:
         """Return the law with the coefficient at each contact node."""

@@ -16,19 +16,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from functools import partial
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg._checks import FieldLike, Size
 
 _FROM_LIMIT = 1e-9  # closer to its limits, one modulus is of the size of rounding of the other
-
+_ORTHOGONAL, _SYMMETRIC = 1e-6, 1e-9
 
 #: three material axes as rows, or points (n, dim) -> (n, 3, 3)
 Axes = np.ndarray | Sequence[Sequence[float]] | Callable[[np.ndarray], np.ndarray]
-Angle = float | Callable[[np.ndarray], np.ndarray]
-_ORTHOGONAL, _SYMMETRIC = 1e-6, 1e-9
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Anisotropy:
 
     stiffness: tuple[tuple[float, ...], ...]  # 6 x 6 along the axes of the material, Voigt: 11, 22, 33, 23, 13, 12; Pa
     axes: tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None = None  # see Axes; None: x, y, z
-    angle: float | Callable[[np.ndarray], np.ndarray] = 0.0  # instead in the plane, from x to the first axis, degrees
+    angle: FieldLike = 0.0  # instead in the plane, from x to the first axis, degrees
 
     @property
     def varies(self) -> bool:
@@ -55,11 +55,8 @@ class Anisotropy:
         """Return the axes (1 or n, 3, 3) at points (n, dim), checked."""
         if self.axes is None:
             turn = np.radians(checks.field("angle", self.angle, points if callable(self.angle) else points[:1]))
-            result = np.zeros((len(turn), 3, 3))
-            result[:, 0, 0], result[:, 0, 1] = np.cos(turn), np.sin(turn)
-            result[:, 1, 0], result[:, 1, 1] = -np.sin(turn), np.cos(turn)
-            result[:, 2, 2] = 1.0
-            return result
+            c, s, zero = np.cos(turn), np.sin(turn), np.zeros(len(turn))
+            return np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(-1, 3, 3)
         if not callable(self.axes):
             return np.array(self.axes)[None]
         result = checks.array("axes", self.axes(points), (len(points), 3, 3))
@@ -83,12 +80,17 @@ def _stiffness(young: Sequence[float], poisson: Sequence[float], shear: Sequence
     compliance = np.diag(1 / np.array([*e, g[2], g[1], g[0]]))
     for (i, j), ratio in zip(((0, 1), (0, 2), (1, 2)), nu, strict=True):
         compliance[i, j] = compliance[j, i] = -ratio / e[i]
-    # also where moduli differ by many orders
-    scale = np.sqrt(np.diag(compliance))
-    if not np.linalg.eigvalsh(compliance / np.outer(scale, scale)).min() > _FROM_LIMIT:
+    scale = np.sqrt(np.diag(compliance))  # moduli may differ by many orders
+    if not _positive_definite(compliance):
         raise ValueError(f"young {e} and poisson {tuple(nu.tolist())} must make a positive definite stiffness: each "
                          "nu_ij is below the root of E_i / E_j, and all three together are smaller")
     return _table(np.linalg.inv(compliance / np.outer(scale, scale)) / np.outer(scale, scale))
+
+
+def _positive_definite(matrix: np.ndarray) -> bool:
+    """Whether the eigenvalues of a matrix are positive once its diagonal is scaled to 1."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    return bool(scale.all() and np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() > _FROM_LIMIT)
 
 
 def _table(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
@@ -96,7 +98,7 @@ def _table(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Elastic:
+class Elastic(checks.Checked):
     """Linear elasticity; use one of the subclasses.
 
     ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5]. Strains are to be small (a few per
@@ -106,18 +108,16 @@ class Elastic:
     directions.
     """
 
-    young: float
-    poisson: float
-    anisotropy: Anisotropy | None = None
+    young: Size
+    poisson: Annotated[float, checks.number]
+    anisotropy: Annotated[Anisotropy, partial(checks.instance, types=Anisotropy)] | None = None
     dim: ClassVar[int]
 
     def __post_init__(self) -> None:
-        own = None if self.anisotropy is None else checks.instance("anisotropy", self.anisotropy, Anisotropy)
-        if own is not None and (self.young, self.poisson) != own.nearest():
+        super().__post_init__()
+        if self.anisotropy is not None and (self.young, self.poisson) != self.anisotropy.nearest():
             raise ValueError("young and poisson of an anisotropic material follow from its stiffness: make another by "
                              "orthotropic(...) or anisotropic(...)")
-        checks.convert(self, checks.quantity, "young", positive=True)
-        checks.convert(self, checks.number, "poisson")
         if not -1 + _FROM_LIMIT < self.poisson <= 0.5:
             raise ValueError(f"poisson must be > -1 (by more than {_FROM_LIMIT:g}) and <= 0.5, got {self.poisson!r}")
 
@@ -161,7 +161,7 @@ class _Plane(Elastic):
 
     @classmethod
     def orthotropic(cls, *, young: Sequence[float], poisson: Sequence[float], shear: Sequence[float],
-                    angle: Angle = 0.0) -> Self:
+                    angle: FieldLike = 0.0) -> Self:
         """Return a material with three axes at right angles, the third one out of the plane (axisymmetric: the hoop).
 
         Parameters
@@ -286,8 +286,7 @@ class Solid(Elastic):
         c = checks.array("stiffness", stiffness, (6, 6))
         if not np.abs(c - c.T).max() <= _SYMMETRIC * np.abs(c).max():
             raise ValueError("stiffness must be symmetric")
-        scale = np.sqrt(np.maximum(np.diag(c), 0.0))
-        if not (scale.all() and np.linalg.eigvalsh(c / np.outer(scale, scale)).min() > _FROM_LIMIT):
+        if not _positive_definite(c):
             raise ValueError("stiffness must be positive definite")
         return cls._of(Anisotropy(_table(c), _axes(axes)))
 
