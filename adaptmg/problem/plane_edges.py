@@ -15,20 +15,17 @@ _ROUND, _SHORTEST = 1e-12, 1e-9
 _SAME = 1e4
 
 
-def distance_to_segments(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the distance (n,) of points (n, 2) to one segment, or to one segment each."""
-    u = b - a
-    along = (p - a) @ u / (u @ u) if u.ndim == 1 else np.sum((p - a) * u, axis=1) / np.sum(u * u, axis=1)
-    along = np.clip(along, 0.0, 1.0)
-    return np.linalg.norm(p - a - along[:, None] * u, axis=1)
-
-
 @dataclass(frozen=True)
 class Segment:
     """A straight edge."""
 
     start: np.ndarray  # (2,), m
     end: np.ndarray
+
+    @property
+    def ends(self) -> np.ndarray:
+        """The first and the last point (2, 2), m."""
+        return np.stack([self.start, self.end])
 
     @property
     def length(self) -> float:
@@ -46,7 +43,9 @@ class Segment:
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the distance (n,) of points (n, 2) to the edge, m."""
-        return distance_to_segments(points, self.start, self.end)
+        u = self.end - self.start
+        along = np.clip((points - self.start) @ u / (u @ u), 0.0, 1.0)
+        return np.linalg.norm(points - self.start - along[:, None] * u, axis=1)
 
 
 @dataclass(frozen=True)
@@ -57,6 +56,11 @@ class Arc:
     radius: float  # m
     start: float  # direction of the first point as seen from the centre, radians
     angle: float  # signed angle to the last point, radians; positive is counter-clockwise, as on a convex boundary
+
+    @property
+    def ends(self) -> np.ndarray:
+        """The first and the last point (2, 2), m."""
+        return self.at(np.array([0.0, 1.0]))
 
     @property
     def length(self) -> float:
@@ -86,13 +90,13 @@ class Arc:
         along, across = (offset @ np.array(d) for d in ((math.cos(middle), math.sin(middle)),
                                                         (-math.sin(middle), math.cos(middle))))
         in_sector = np.abs(np.arctan2(across, along)) <= 0.5 * abs(self.angle)
-        ends = np.min([np.linalg.norm(points - end, axis=1) for end in self.at(np.array([0.0, 1.0]))], axis=0)
+        ends = np.min([np.linalg.norm(points - end, axis=1) for end in self.ends], axis=0)
         return np.where(in_sector, np.abs(np.hypot(along, across) - self.radius), ends)
 
 
 def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]:
     """Return the points where two edges cross or touch, and the ends of one that lie on the other."""
-    found = [*e.at(np.array([0.0, 1.0])), *f.at(np.array([0.0, 1.0]))]
+    found = [*e.ends, *f.ends]
     if isinstance(e, Arc) and isinstance(f, Arc):
         found += _circles(e, f, tol)
     elif isinstance(e, Arc) or isinstance(f, Arc):
@@ -106,7 +110,12 @@ def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]
         cross = u[0] * v[1] - u[1] * v[0]
         if abs(cross) > _PARALLEL * np.linalg.norm(u) * np.linalg.norm(v):
             found.append(e.start + u * ((w[0] * v[1] - w[1] * v[0]) / cross))
-    return [p for p in found if e.distance(p[None])[0] <= 2 * tol and f.distance(p[None])[0] <= 2 * tol]
+    return on_both(e, f, found, tol)
+
+
+def on_both(e: Segment | Arc, f: Segment | Arc, points: list[np.ndarray], tol: float) -> list[np.ndarray]:
+    """Return those points that lie on both edges."""
+    return [p for p in points if e.distance(p[None])[0] <= 2 * tol and f.distance(p[None])[0] <= 2 * tol]
 
 
 def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
@@ -129,7 +138,7 @@ def _both_sides(foot: np.ndarray, along: np.ndarray, radius: float, distance: fl
 def check_simple(edges: Sequence[Segment | Arc], names: Sequence[str], first: np.ndarray, last: np.ndarray,
                  what: str = "vertices") -> None:
     """Raise ValueError if edges from vertices ``first`` to ``last``, by number, are too short, or meet elsewhere."""
-    a, b = np.array([edge.at(np.array([0.0, 1.0])) for edge in edges]).transpose(1, 0, 2)
+    a, b = np.array([edge.ends for edge in edges]).transpose(1, 0, 2)
     straight = np.array([isinstance(edge, Segment) for edge in edges])
     # an arc is shorter than a half circle: it lies in the box around its ends grown by their distance
     lengths = np.linalg.norm(b - a, axis=1)
@@ -138,33 +147,22 @@ def check_simple(edges: Sequence[Segment | Arc], names: Sequence[str], first: np
     if not lengths[k] > _SHORTEST * extent:
         raise ValueError(f"{what}: edge {k} ({names[k]!r}) must be longer than {_SHORTEST:g} of the extent, got "
                          f"{lengths[k] / extent:.2g}")
-    low, high = (pick(a, b) + sign * np.where(straight, 0.0, lengths)[:, None]
-                 for pick, sign in ((np.minimum, -1), (np.maximum, 1)))
-    i, j = np.triu_indices(len(a), 1)
-    tiny = _ROUND * extent
-    near = ((low[i] <= high[j] + tiny) & (low[j] <= high[i] + tiny)).all(axis=1)
-    i, j = i[near], j[near]
-    common = np.stack([x[i] == y[j] for x in (first, last) for y in (first, last)])
-    simple = straight[i] & straight[j] & ~common.any(axis=0)
-    bad = np.zeros(len(i), dtype=bool)
-    m, n = i[simple], j[simple]
-    bad[simple] = ((_side(a[m], b[m], a[n]) * _side(a[m], b[m], b[n]) < 0)
-                   & (_side(a[n], b[n], a[m]) * _side(a[n], b[n], b[m]) < 0)) | (_apart(a, b, m, n) <= tiny)
-    for k in np.flatnonzero(~simple):
-        shared = [end[i[k]] for end, there in ((a, common[:2, k]), (b, common[2:, k])) if there.any()]
-        bad[k] = _meet(edges[i[k]], edges[j[k]], shared, tiny)
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise ValueError(f"{what}: edges {i[k]} ({names[i[k]]!r}) and {j[k]} ({names[j[k]]!r}) meet; a boundary must "
-                         "not cross itself, or fold back")
+    grown = np.where(straight, 0.0, lengths)[:, None]
+    low, high, tiny = np.minimum(a, b) - grown, np.maximum(a, b) + grown, _ROUND * extent
+    pairs = np.stack(np.triu_indices(len(a), 1), axis=1)
+    near = (low[pairs] <= high[pairs[:, ::-1]] + tiny).all(axis=(1, 2))
+    for i, j in pairs[near].tolist():
+        shared = [a[i] if k == first[i] else b[i] for k in {first[i], last[i]} & {first[j], last[j]}]
+        if _meet(edges[i], edges[j], shared, tiny):
+            raise ValueError(f"{what}: edges {i} ({names[i]!r}) and {j} ({names[j]!r}) meet; a boundary must not cross "
+                             "itself, or fold back")
 
 
 def _meet(e: Segment | Arc, f: Segment | Arc, shared: list[np.ndarray], tiny: float) -> bool:
     """Whether two edges meet elsewhere than at the vertices they share."""
-    found = meetings(e, f, tiny) if not shared else [*e.at(np.array([0.0, 1.0])), *f.at(np.array([0.0, 1.0])),
-                                                     *(p for v in shared for p in _again(e, f, v))]
-    return any(e.distance(p[None])[0] <= 2 * tiny and f.distance(p[None])[0] <= 2 * tiny
-               and all(np.linalg.norm(p - v) > _SAME * tiny for v in shared) for p in found)
+    points = meetings(e, f, tiny) if not shared else on_both(e, f, [*e.ends, *f.ends, *(
+        p for v in shared for p in _again(e, f, v))], tiny)
+    return any(all(np.linalg.norm(p - v) > _SAME * tiny for v in shared) for p in points)
 
 
 def _again(e: Segment | Arc, f: Segment | Arc, v: np.ndarray) -> list[np.ndarray]:
@@ -180,18 +178,3 @@ def _again(e: Segment | Arc, f: Segment | Arc, v: np.ndarray) -> list[np.ndarray
     along = along / np.linalg.norm(along)
     part = ((v - centre) @ along) * along
     return [centre + 2 * part - (v - centre) if isinstance(other, Arc) else v - 2 * part]
-
-
-def _apart(a: np.ndarray, b: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """Distance between edges i and j (m,) of those from a to b (n, 2); they must not cross."""
-    if not len(i):
-        return np.empty(0)
-    # it is reached at an end of one of them
-    pairs = ((a[j], i), (b[j], i), (a[i], j), (b[i], j))
-    return np.min([distance_to_segments(p, a[k], b[k]) for p, k in pairs], axis=0)
-
-
-def _side(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Positive where c lies to the left of the line from a to b."""
-    u, v = b - a, c - a
-    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
