@@ -48,7 +48,7 @@ class ContactNodes(checks.Checked):
     2
     """
 
-    nodes: Annotated[np.ndarray, partial(check_arrays.array, shape=(None,), integer=True)]
+    nodes: Annotated[np.ndarray, partial(checks.array, shape=(None,), integer=True)]
     normals: np.ndarray
     gaps: np.ndarray
     weights: np.ndarray | None = None
