@@ -76,7 +76,7 @@ def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike
     return value
 
 
-Parameter = Annotated[FieldLike | ArrayLike, partial(checks.function_or, check=_parameter)]
+FieldLikeOrArray = Annotated[FieldLike | ArrayLike, partial(checks.function_or, check=_parameter)]
 
 
 def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> np.ndarray:
@@ -127,7 +127,7 @@ class Tresca(checks.Checked):
     2000000.0
     """
 
-    limit: Parameter
+    limit: FieldLikeOrArray
 
     __repr__, _repr_html_ = brief, html_fields
 
@@ -155,7 +155,7 @@ class Coulomb(checks.Checked):
     >>> rough = am.Coulomb(lambda x: 0.1 + x[:, 0])
     """
 
-    friction: Parameter
+    friction: FieldLikeOrArray
 
     __repr__, _repr_html_ = brief, html_fields
 

@@ -57,16 +57,13 @@ def refused(name: str, make) -> Hostile:
 
 def _files():
     """What is not an archive, or a broken one."""
-    raw = {"empty": lambda d: b"", "junk": lambda d: bytes(range(256)) * 50, "zip magic": lambda d: b"PK\x03\x04",
-           "half": lambda d: d[:len(d) // 2], "start cut off": lambda d: d[100:], "no arrays": lambda d: zipped(),
-           "another file": lambda d: packed({"a": np.ones(3)}, None), "array alone": lambda d: _npy(np.ones(3)),
+    raw = {"empty": lambda d: b"", "half": lambda d: d[:len(d) // 2], "no arrays": lambda d: zipped(),
            "lzma": lambda d: zipped(zipfile.ZIP_LZMA, meta_npy=b"x"),
            "pickle": lambda d: pickle.dumps({"displacement": 1}),
            "one byte changed": lambda d: _flipped(d, b"displacement.npy"), "encrypted": _encrypted,
            "listed twice": lambda d: d.replace(b"contact.gap.npy", b"contact.u_n.npy"),
            "an array behind a folder": lambda d: zipped(**{"../meta_npy": b"x"}),
            "zeros without end": lambda d: zipped(displacement_npy=_npy(np.zeros((5_000_000, 2)))),
-           "4 GB in the directory": lambda d: _declared(d, 2**32 - 2),
            "many entries": lambda d: zipped(zipfile.ZIP_STORED, **{f"{k}_npy": b"" for k in range(10_001)})}
     yield from (refused(name, lambda d, arrays, text, make=make: make(d)) for name, make in raw.items())
     # other files that are none: tests/runtime/test_atomic.py
@@ -92,12 +89,6 @@ def _encrypted(data: bytes) -> bytes:
     return parts[0] + b"".join(b"PK\x01\x02" + p[:4] + bytes([p[4] | 1]) + p[5:] for p in parts[1:])
 
 
-def _declared(data: bytes, size: int) -> bytes:
-    """Another unpacked size in the central directory of the first entry."""
-    at = data.index(b"PK\x01\x02") + 24
-    return data[:at] + struct.pack("<I", size) + data[at + 4:]
-
-
 def _header(text: str, body: bytes = b"\0" * 64, version: int = 1, length: int | None = None) -> bytes:
     text += "\n"
     form = "<H" if version == 1 else "<I"
@@ -110,42 +101,37 @@ def _bombs():
     shape = "{'descr': '<f8', 'fortran_order': False, 'shape': %s, }"
     headers = {"terabytes in a header": _header(shape % "(1000000000000,)"),
                "sizes that wrap": _header(shape % "(4294967296, 4294967296)"),
-               "negative size": _header(shape % "(-8,)"), "objects": _npy(np.array([{}, None], dtype=object)),
+               "objects": _npy(np.array([{}, None], dtype=object)),
                "code in a header": _header("__import__('os').mkdir('was-here')"),
-               "no shape": _header("{'descr': '<f8'}"), "deep header": _header("(" * 5000 + ")" * 5000),
-               "cut header": b"\x93NUMPY\x01\0", "long header": _header(shape % "(8,)", version=2, length=2**32 - 1),
-               "records": _npy(np.zeros(3, dtype=[("a", "<f8")])), "too few bytes": _header(shape % "(9,)"),
-               "unknown type": _header((shape % "(8,)").replace("<f8", "<q99"))}
+               "deep header": _header("(" * 5000 + ")" * 5000), "too few bytes": _header(shape % "(9,)"),
+               "long header": _header(shape % "(8,)", version=2, length=2**32 - 1),
+               "records": _npy(np.zeros(3, dtype=[("a", "<f8")]))}
     yield from (refused(name, lambda *good, c=content: zipped(displacement_npy=c)) for name, content in headers.items())
 
 
-def _changed(arrays: dict[str, np.ndarray], text: str, new: dict[str, object] | None = None, gone: str = "",
+def _changed(arrays: dict[str, np.ndarray], text: str, new: dict[str, object] | None = None,
              whole: object = None) -> bytes:
     """A file with other fields of its result, or another value, and the hash that fits."""
     meta = json.loads(text)
-    own = meta["value"]["Result"] | (new or {})
-    meta["value"] = {"Result": {name: v for name, v in own.items() if name != gone}} if whole is None else whole
+    meta["value"] = {"Result": meta["value"]["Result"] | (new or {})} if whole is None else whole
     del meta["hash"]
     return packed(arrays, json.dumps(meta | {"hash": store._hash(meta, arrays)}).encode())
 
 
 def _texts():
     """Wrong JSON."""
-    texts = {"no text": None, "no JSON": b"{", "list": b"[1]", "bad UTF-8": b'{"format": "\xff"}',
+    texts = {"no text": None, "list": b"[1]", "bad UTF-8": b'{"format": "\xff"}',
              "deep": b"[" * 100_000 + b"]" * 100_000}
     yield from (refused(f"meta: {name}", lambda d, arrays, text, new=new: packed(arrays, new))
                 for name, new in texts.items())
-    for key, value in {"format": 99, "part_of": "a path"}.items():
-        yield refused(f"meta: {key}", lambda d, arrays, text, new={key: value}: packed(
-            arrays, json.dumps(json.loads(text) | new).encode()))
-    changes = {"status": {"Status": "FINE"}, "contact": {"ContactResult": {}}, "mesh": {"MeshArrays": {"points": []}},
-               "unknown": 3, "history": {"dict": 3}, "levels": {"tuple": 3}, "displacement": {"array": 0}}
+    yield refused("meta: format", lambda d, arrays, text: packed(
+        arrays, json.dumps(json.loads(text) | {"format": 99}).encode()))
+    changes = {"status": {"Status": "FINE"}, "mesh": {"MeshArrays": {"points": []}}, "unknown": 3,
+               "levels": {"tuple": 3}, "displacement": {"array": 0}}
     for key, value in changes.items():
         yield refused(f"meta: {key}", lambda d, arrays, text, new={key: value}: _changed(arrays, text, new))
-    yield refused("meta without status", lambda d, arrays, text: _changed(arrays, text, {}, "status"))
     values = {"another kind": {"MeshArrays": {}}, "an unknown kind": {"Path": {}}, "the same": {"same": 99},
-              "no kind": {}, "two kinds": {"array": "displacement", "dict": {}}, "no array": {"array": "x"},
-              "a number": 3, "a list": []}
+              "two kinds": {"array": "displacement", "dict": {}}, "no array": {"array": "x"}, "a list": []}
     for label, value in values.items():
         yield refused(f"meta: value is {label}", lambda d, arrays, text, v=value: _changed(arrays, text, whole=v))
 
@@ -161,20 +147,12 @@ def _at(index: int, value: float):
 
 def _arrays():
     """Arrays that were changed; and those of a mesh that point outside, with the hash that fits."""
-    changes = {"displacement": _at(0, float("nan")), "contact.node": _at(0, 9), "history.cycle": lambda a: a[:-1],
-               "contact.force_n": lambda a: a.astype(object), "contact.weights": lambda a: a + 1j}
-    for name, change in changes.items():
-        yield refused(f"{name} changed", lambda d, arrays, text, n=name, c=change: packed(
-            arrays | {n: c(arrays[n])}, text.encode()))
-    for name, kinds in {
-            "mesh.elements": {"negative": _at(0, -1), "far": _at(0, 2**33),
-                              "tetrahedra": lambda a: np.zeros((3, 4), int)},
-            "mesh.facets": {"outside": _at(0, 9)}, "mesh.facet_labels": {"outside": _at(0, 4)},
-            "mesh.element_body": {"outside": _at(0, 1)},
-            "mesh.points": {"nan": _at(0, float("nan")), "short": lambda a: a[1:]}}.items():
-        for label, change in kinds.items():
-            yield refused(f"{name} {label}", lambda d, arrays, text, n=name, c=change: _changed(
-                arrays | {n: c(arrays[n])}, text))
+    yield refused("displacement changed", lambda d, arrays, text: packed(
+        arrays | {"displacement": 2 * arrays["displacement"]}, text.encode()))
+    for name, change in {"contact.force_n": lambda a: a.astype(object), "mesh.elements": _at(0, 2**33),
+                         "mesh.facet_labels": _at(0, 4), "mesh.points": _at(0, float("nan"))}.items():
+        yield refused(f"{name} with its hash", lambda d, arrays, text, n=name, c=change: _changed(
+            arrays | {n: c(arrays[n])}, text))
     yield refused("without displacement", lambda d, arrays, text: packed(
         {k: v for k, v in arrays.items() if k != "displacement"}, text.encode()))
 
