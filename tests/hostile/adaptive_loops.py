@@ -8,7 +8,7 @@ import numpy as np
 from hostile_table import Hostile, each, labelled
 
 import adaptmg as am
-from adaptmg.estimate import Doerfler, Reference, Remesh, Residual, energy_error
+from adaptmg.estimate import Reference, Remesh, energy_error
 from adaptmg.mesh import merged, structured
 
 NAN = float("nan")
@@ -69,8 +69,7 @@ def _parts():
     for where, options, labels in (("indicator", {}, ()), ("on a path: indicator", path, list(answers)[:1])):
         yield from each(where, lambda v, o=options: _loop(
             indicator=SimpleNamespace(indicate=lambda hierarchy, result: v), **o), answers, labels)
-    masks = labelled((lambda e: None, lambda e: np.ones(3, dtype=bool), lambda e: np.array([0, 1]), lambda e: "all",
-                      lambda e: np.full(len(e.squares), NAN)))
+    masks = labelled((lambda e: np.ones(3, dtype=bool), lambda e: np.array([0, 1]), lambda e: "all"))
     yield from each("mark", lambda v: _loop(mark=SimpleNamespace(mark=v)), masks)
     yield from each("engine", lambda v: _loop(engine=_refining(v)), MESHES)
     yield from each("engine elsewhere: mesh", lambda v: _loop(engine=_refining(v)), ELSEWHERE)
@@ -90,7 +89,6 @@ def _refined(engine, **wrong):
 
 
 def _marking():
-    yield from each("Doerfler marks: estimate", Doerfler().mark, labelled(([1.0, NAN], [1.0, -1.0], [], np.eye(2))))
     for engine in (am.Bisect(), Remesh()):
         yield Hostile(f"{type(engine).__name__} of another estimate", lambda e=engine: _refined(
             e, estimate=am.Estimate(squares=[1.0], norm=1.0)), "estimate is of")
@@ -99,13 +97,12 @@ def _marking():
 
 def _goals():
     yield from each("goal of quantity", am.Goal, labelled(([], [am.ContactForce(), "u"])))
-    yield from each("points", lambda v: am.Displacement(v, "x"), labelled((
-        (0.0, NAN), (1.0,), (), [(0.0, 0.0), (0.0,)])))
-    yield from each("component", lambda v: am.Displacement((0.0, 0.0), v), labelled(("w", 3, -1, True)))
+    yield from each("points", lambda v: am.Displacement(v, "x"), labelled(((0.0, NAN), (), [(0.0, 0.0), (0.0,)])))
+    yield from each("component", lambda v: am.Displacement((0.0, 0.0), v), labelled(("w", 3, True)))
     wrong = {"points": (am.Displacement((1.0, 1.0), "x"), am.Displacement((0.0, 0.0, 0.0), "x")),
              "component": (am.Displacement((0.0, 0.0), "z"),), "top": (am.ContactForce("top"), am.Opening("top")),
              "body": (am.Displacement((0.0, 0.0), "x", body="upper"),),
-             "nowhere": (am.MeanDisplacement("nowhere", "x"),), "direction": (am.ContactForce("bottom", "z"),),
+             "nowhere": (am.MeanDisplacement("nowhere", "x"),),
              "point": (am.Opening("bottom", (1.0, 0.0)), am.Opening("bottom", (0.0, 0.0, 0.0)))}
     for says, quantities in wrong.items():
         yield from each(f"goal: {says}", lambda v: am.Goal(v).indicate(_grids(), _result()), labelled(quantities))
@@ -132,8 +129,7 @@ def _errors():
         "displacement": lambda i: i.indicate(_grids(), replace(_result(), displacement=_result().displacement * NAN))}
     for says, run in wrong.items():
         yield Hostile(f"Goal: {says}", lambda r=run: r(am.Goal(am.ContactForce())), says)
-    yield Hostile("Residual: result of another mesh", lambda: next(iter(wrong.values()))(Residual()), "another mesh")
-    yield from each("reference", lambda v: energy_error(v, _result()), labelled(((1,), "reference", (1, 2, 3))))
+    yield from each("reference", lambda v: energy_error(v, _result()), labelled(((1,), "reference")))
     yield Hostile("reference of texts", lambda: energy_error(("r", "h"), _result()), "hierarchy")
     yield from each("error of result", lambda v: energy_error((_grids(), _result()), v()), {
         "text": lambda: "r", "bare": _bare, "pair": lambda: am.solve(am.Hierarchy.graded(

@@ -27,15 +27,11 @@ NAN = float("nan")
 # array, place, value of another type or size
 VALUES = {
     "node n": ("elements", (2, 0), 10**4), "node -1": ("elements", (2, 0), -1),
-    "node 2**31": ("elements", (2, 0), 2**31), "node 2**63": ("elements", (2, 0), np.uint64(2**63)),
-    "node 1.5": ("elements", (2, 0), 1.5), "facet node n": ("facets", (1, 0), 10**4),
-    "facet node -7": ("facets", (1, 0), -7), "label 99": ("facet_labels", 1, 99),
-    "label 2**40": ("facet_labels", 1, 2**40), "label .5": ("facet_labels", 1, 0.5), "body 5": ("element_body", 1, 5),
-    "nan": ("points", (0, 0), NAN), "inf": ("points", (0, 0), float("inf")),
-}
-TYPES = {"nodes as floats": ("elements", float), "nodes as text": ("elements", str),
-         "nodes as objects": ("elements", object), "facets as floats": ("facets", float),
-         "points as text": ("points", str), "complex points": ("points", complex)}
+    "node 2**63": ("elements", (2, 0), np.uint64(2**63)), "facet node -7": ("facets", (1, 0), -7),
+    "label 99": ("facet_labels", 1, 99), "label .5": ("facet_labels", 1, 0.5), "body 5": ("element_body", 1, 5),
+    "nan": ("points", (0, 0), NAN)}
+TYPES = {"nodes as floats": ("elements", float), "nodes as objects": ("elements", object),
+         "complex points": ("points", complex)}
 
 
 def _set(mesh: MeshArrays, name: str, where, value) -> MeshArrays:

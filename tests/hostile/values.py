@@ -35,16 +35,14 @@ _KEYWORDS = (
     (am.Support, "x", (1e200,), {"boundary": "right"}), (am.Traction, "components", ((1e300, 0.0),), {"boundary": "t"}),
     (am.InitialStrain, "components", ((1e300, 0.0),), {"body": "body"}), (am.LoadPath, "default", ([0.5, NAN],), {}),
     (am.ContactPair, "reach gap", (-1.0,), {"slave": "a", "master": "b"}), (am.SingleGrid, "omega", (2.0,), {}),
-    (am.cases.greco_bar, "size", (NAN,), {}), (am.CoarseSolve, "atol", (1.0, NAN), {}),
-    (am.Doerfler, "theta", (0.0, 1.5), {}), (am.Remesh, "growth finest", (1.0,), {}),
-    (am.Remesh, "coarsest", (0.5,), {}),
-    (am.Estimate, "squares", ([1.0, NAN], [-1.0], [], np.eye(2), [1j], [True, False]), {"norm": 1.0}),
+    (am.cases.greco_bar, "size", (NAN,), {}), (am.CoarseSolve, "atol", (1.0,), {}),
+    (am.Doerfler, "theta", (0.0,), {}), (am.Remesh, "growth finest", (1.0,), {}),
+    (am.Estimate, "squares", ([-1.0], []), {"norm": 1.0}),
     (am.Estimate, "norm", (-1.0,), {"squares": [1.0]}), (am.Estimate, "signed", (NAN,), {"squares": [1.0], "norm": 1.0,
                                                                                            "value": 1.0}),
     (am.Estimate, "terms", ({"a": "b"}, {3: 1.0}), {"squares": [1.0], "norm": 1.0}),
     (problem, "material", ({_BAD: ELASTIC}, am.PlaneStrain, {}, {"body": am.PlaneStrain}), {}),
-    (problem, "loads", ({"top": am.Pressure("top", 1.0)},), {}),
-    (problem, "reference", ("x",), {}), (discrete, "coupling", ("W",), {}),
+    (problem, "loads", ({"top": am.Pressure("top", 1.0)},), {}), (discrete, "coupling", ("W",), {}),
     (discrete, "bodies", ([0, 1], {"a": np.array([0, 99])}, {"a": np.array([0.5])}), {}),
     (nodes, "names", ((_BAD,), "abc", ()), {}), (nodes, "masters", ((_BAD,),), {}),
     (am.Multigrid, "correction", (am.Monotone,), {}), (am.ActiveSet, "linear", (am.AMG,), {}),
@@ -54,7 +52,7 @@ _KEYWORDS = (
 _CALLS = {
     "Coulomb friction": (lambda v: am.Coulomb(v).bounds(2), -1.0, 1e300),
     "Tresca limit": (lambda v: am.Tresca(v).bounds(2), -1.0),
-    "LoadPath factors['top']": (lambda v: am.LoadPath({"top": v}), [0.0, NAN], [1e300], [[1.0], [1.0, 2.0]], "12"),
+    "LoadPath factors['top']": (lambda v: am.LoadPath({"top": v}), [1e300], [[1.0], [1.0, 2.0]], "12"),
     "factors": (am.LoadPath, {_BAD: [1.0]}),
     "Outline arcs[1]": (lambda v: triangle(arcs={1: (0, v)}), NAN), "Polygon vertices": (triangle, NAN),
     "graded size": (lambda v: graded(SQUARE, v), 0), "sized size": (lambda v: sized(SQUARE, v, 0.3), 1e-6),
@@ -63,21 +61,18 @@ _CALLS = {
     "divisions": (lambda v: am.Hierarchy.uniform(am.cases.greco_bar(), v), "24", (), (2.0, 4), (0, 4), range(2, 600)),
     "from coarse to fine": (lambda v: am.Hierarchy.uniform(am.cases.greco_bar(), v), (4, 2)),
     "truncated finest": (lambda v: grids().truncated(finest=v), 5),
-    "sized size_function": (lambda v: sized(SQUARE, v, 0.3), lambda x: x[:, 0] * NAN, lambda x: -x[:, 0] - 1,
-                            lambda x: [1.0, 2.0]),
-    "loads[0]": (lambda v: problem(loads=(v,)), am.Pressure, am.Support("top", x=0.0)),
+    "sized size_function": (lambda v: sized(SQUARE, v, 0.3), lambda x: -x[:, 0] - 1, lambda x: [1.0, 2.0]),
+    "loads[0]": (lambda v: problem(loads=(v,)), am.Support("top", x=0.0)),
     "obstacle": (lambda v: am.Contact("bottom", v), type("Data", (), {"contact": 5})()),
     "Assembly parts['a']": (lambda v: am.Assembly(parts={"a": v}), am.Rectangle),
     "levels[0]": (lambda v: am.Hierarchy(levels=(v,)), am.Level),
-    "solve start": (lambda v: am.solve(grids(), start=v), am.Result, "zero"),
-    "solve reference": (lambda v: am.solve(grids(), reference=v), "exact"),
     "adapt start": (lambda v: am.adapt(am.cases.greco_bar(), v, max_nodes=9), NAN, 0.0, "5 mm", [5e-3], 1e-9, print),
     "resultant boundary": (lambda v: am.solve(grids()).resultant(v), 5),
 }
 #: meshes of more nodes than fit
 _LARGE = {
     "square": lambda: graded(SQUARE, 1e-6), "ball": lambda: graded(am.Ball((0, 0, 0), 1), 1e-100),
-    "ratio": lambda: graded(SQUARE, 0.3, "top", 1e9), "ratio in space": lambda: graded(CUBE, 0.3, "top", 1e5)}
+    "ratio in space": lambda: graded(CUBE, 0.3, "top", 1e5)}
 
 
 def _named_contact(**changes):
