@@ -27,10 +27,20 @@ from adaptmg.problem.plane_edges import Arc, Segment, check_simple, meetings
 from adaptmg.problem.solid_domains import SOLID, SolidDomain
 
 Path = tuple[tuple[float, ...], ...]
-Part = Annotated[Domain, partial(checks.instance, types=(SolidDomain, Box, Rectangle, Outline, Circle), words=(
-    f"{SOLID}, or a plane domain (Rectangle, Polygon, Outline, Circle, Cut, ...)"))]
 # of the extent: ends of cracks this near to a vertex or an edge lie on it; points nearer to each other are one
 _NEAR, _ROUND = 1e-9, 1e-12
+_SIDES = ("left", "right")
+
+
+def _part(name: str, value: Domain) -> Domain:
+    part = checks.instance(name, value, (SolidDomain, Box, Rectangle, Outline, Circle),
+                           f"{SOLID}, or a plane domain (Rectangle, Polygon, Outline, Circle, Cut, ...)")
+    if isinstance(part, Cracked):
+        raise ValueError(f"{name} is cracked: combine the bodies first, and name all cracks of the result together")
+    return part
+
+
+Part = Annotated[Domain, _part]
 
 
 @dataclass(frozen=True)
@@ -57,8 +67,6 @@ class Combination(SolidDomain):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if cracked := [name for name in "ab" if isinstance(getattr(self, name), Cracked)]:
-            raise ValueError(f"{cracked[0]} is cracked: combine the bodies first, and crack the result")
         if self.a.dim != self.b.dim:
             raise ValueError(f"a is {self.a.dim}D, b {self.b.dim}D: combine two solids or two plane domains")
         known = [key for part in "ab" for name in getattr(self, part).boundaries for key in (name, f"{part}.{name}")]
@@ -76,12 +84,8 @@ class Combination(SolidDomain):
     @cached_property
     def outline(self) -> Outline:
         """Of plane domains: the edges of the result, holes included."""
-        if self.dim != 2:
-            raise ValueError(f"outline: only plane domains have one, a and b of this {type(self).__name__} are solids")
-        parts = []
-        for part, domain in (("a", self.a), ("b", self.b)):
-            names = tuple(self.renamed(part, name) for name in domain.outline.boundaries)
-            parts.append(replace(domain.outline, boundaries=names))
+        parts = [replace(outline, boundaries=tuple(self.renamed(part, name) for name in outline.boundaries))
+                 for part, outline in (("a", self.a.outline), ("b", self.b.outline))]
         return combined(type(self).__name__, *parts)
 
     def renamed(self, part: str, name: str) -> str:
@@ -152,10 +156,6 @@ class _Piece:
     centre: tuple[float, float] | None
     middle: np.ndarray
 
-    @property
-    def turned(self) -> _Piece:
-        return _Piece(self.end, self.start, self.name, self.centre, self.middle)
-
 
 def combined(what: str, a: Outline, b: Outline) -> Outline:
     """Return the outline of "Cut", "Fuse" or "Common" of two outlines; ValueError unless it is one piece."""
@@ -177,7 +177,7 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
         of_b = [other for other in of_b if other not in twins]
     for piece in of_b:
         if (a.winding(piece.middle) == 1) == (what != "Fuse"):
-            kept.append(piece.turned if what == "Cut" else piece)
+            kept.append(replace(piece, start=piece.end, end=piece.start) if what == "Cut" else piece)
     return _chained(what, kept, points)
 
 
@@ -289,10 +289,7 @@ class Cracked(SolidDomain):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        body = self.domain
-        if isinstance(body, Cracked):
-            raise TypeError("domain is cracked already; name all its cracks together")
-        paths = {}
+        body, paths = self.domain, {}
         for name, points in checks.mapping("cracks", self.cracks, "names to paths").items():
             checks.boundary_name("the names of cracks", name)
             path = checks.array(f"cracks[{name!r}]", points, (None, body.dim))
@@ -330,8 +327,6 @@ class Cracked(SolidDomain):
     @cached_property
     def outline(self) -> Slit:
         """Of a plane body its outline, with the cracks as holes without width."""
-        if self.dim != 2:
-            raise ValueError("outline: only plane domains have one")
         body, paths = self._anchored()
         _check_cracks(body, paths)
         vertices, names, holes, twins = list(body.vertices), list(body.boundaries), list(body.holes), {}
@@ -360,9 +355,6 @@ class Cracked(SolidDomain):
             middle = path[1:-1] or (tuple((0.5 * np.add(*ends)).tolist()),)
             paths[name] = (ends[0], *middle, ends[1])
         return body, paths
-
-
-_SIDES = ("left", "right")
 
 
 def normal_of(polygon: ArrayLike) -> np.ndarray:
@@ -411,8 +403,7 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
             ends.append(v)
             names.append(f"{name}.left")
     places = np.array(list(number))[np.argsort(list(number.values()))]
-    edges = [*map(body.edge, range(n)), *(Segment(places[u], places[v]) for u, v in zip(starts[n:], ends[n:],
-                                                                                        strict=True))]
+    edges = [*map(body.edge, range(n)), *map(Segment, places[starts[n:]], places[ends[n:]])]
     check_simple(edges, names, np.array(starts), np.array(ends), "cracks")
 
 
@@ -442,8 +433,7 @@ class Assembly(Domain):
         if not parts:
             raise ValueError("parts is empty: an assembly needs at least one body")
         for name, part in parts.items():
-            checks.boundary_name("the name of a body in parts", name)
-            if "." in name:
+            if "." in checks.boundary_name("the name of a body in parts", name):
                 raise ValueError(f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'")
             checks.instance(f"parts[{name!r}]", part, Domain, "a Domain (Rectangle, Polygon, Outline, Box, ...)")
             if part.bodies is None or len(part.bodies) != 1 or part.boundaries is None or isinstance(part, Assembly):

@@ -159,14 +159,13 @@ class ContactProblem(checks.Checked):
         for support in self.supports:
             support.components(self.dim)
             if support.boundary is None and len(support.point) != self.dim:
-                raise ValueError(f"{checks.shown(support)} is at a point with {len(support.point)} components in a "
-                                 f"{self.dim}D problem")
+                raise ValueError(f"{checks.shown(support)} has {len(support.point)} components in a {self.dim}D "
+                                 "problem")
         self._check_contact()
         self._check_sides()
         if CONTACT in self._uses() and self.contact_boundaries != (CONTACT,):
-            raise ValueError(f"the name {CONTACT!r} stands for all contact boundaries together, but names a boundary "
-                             f"used for {self._uses()[CONTACT]} where contact is on "
-                             f"{', '.join(map(repr, self.contact_boundaries))}: rename it")
+            raise ValueError(f"the name {CONTACT!r} stands for all contact boundaries together, but names one of "
+                             f"several, used for {self._uses()[CONTACT]}: rename it")
         if self.domain is not None:
             self._check_domain(self.domain)
         if self.bodies:
@@ -271,8 +270,8 @@ class ContactProblem(checks.Checked):
     @property
     def pair_boundaries(self) -> tuple[str, ...]:
         """Distinct names of all boundaries that may touch something, masters too: where meshes are to be fine."""
-        return tuple(dict.fromkeys(name for pair in zip(self.contact_boundaries, self.masters, strict=True)
-                                   for name in pair if name))
+        pairs = zip(self.contact_boundaries, self.masters, strict=True)
+        return tuple(dict.fromkeys(name for pair in pairs for name in pair if name))
 
     @property
     def tied_boundaries(self) -> tuple[str, ...]:

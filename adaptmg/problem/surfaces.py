@@ -125,14 +125,14 @@ class _MovingPart(Acting):
     about: np.ndarray | None
     dim: int
 
-    def _check_place(self, what: str) -> None:
-        """Check what both share; ``what`` has a component for each direction."""
-        if isinstance(self.obstacle, Rigid):
-            raise TypeError("obstacle must not be Rigid: write Rigid(Moving(...), ...)")
+    def __post_init__(self) -> None:
+        super().__post_init__()
         inner = self.obstacle
+        if isinstance(inner, Rigid):
+            raise TypeError("obstacle must not be Rigid: write Rigid(Moving(...), ...)")
         place = inner.point if isinstance(inner, Plane) else getattr(inner, "about", np.zeros(self.dim))
         if len(place) != self.dim:
-            raise ValueError(f"{what} must have {len(place)} components, as the obstacle, got {self.dim}")
+            raise ValueError(f"{self._amounts[0]} must have {len(place)} components, as the obstacle, got {self.dim}")
         about = place if self.about is None else self.about
         object.__setattr__(self, "about", checks.vector("about", about, self.dim))
 
@@ -184,7 +184,6 @@ class Moving(_MovingPart):
         if np.ndim(turn) == 0:
             turn = (turn,) if dim == 2 or turn != 0 else np.zeros(3)
         object.__setattr__(self, "rotation", checks.vector("rotation", turn, 2 * dim - 3))
-        self._check_place("displacement")
 
     @property
     def dim(self) -> int:
@@ -204,9 +203,7 @@ class Moving(_MovingPart):
             return whole.contact(points, normals)
         motion = self.motion(points)
         along = np.einsum("nd,nd->n", motion, normals)
-        fixed = self.obstacle
-        while isinstance(fixed, Moving):
-            fixed = fixed.obstacle
+        fixed = moving_parts(self)[-1].obstacle
         directions, gaps = fixed.contact(points - motion + along[:, None] * normals, normals)
         return directions, gaps + np.einsum("nd,nd->n", motion, directions)
 
@@ -286,7 +283,6 @@ class Rigid(_MovingPart):
             raise ValueError("force and moment are None: use the obstacle itself, or Moving")
         if not any(self.force):
             raise ValueError("force must have a component other than zero: nothing would press the obstacle")
-        self._check_place("force")
 
     @property
     def dim(self) -> int:
