@@ -378,8 +378,8 @@ def grids(problem, dim, on_pad, on_plate):
 
 
 @pytest.mark.parametrize(("dim", "slave", "coupling", "on_pad", "on_plate"), [
-    (2, "pad", "mortar", 8, 5), (2, "pad", "mortar", 5, 8), (2, "plate", "mortar", 4, 4), (2, "plate", "mortar", 8, 5),
-    (2, "pad", "nodes", 8, 8), (3, "pad", "mortar", 6, 4), (3, "plate", "mortar", 4, 5), (3, "pad", "nodes", 4, 4)])
+    (2, "pad", "mortar", 8, 5), (2, "plate", "mortar", 8, 5), (2, "pad", "nodes", 8, 8), (3, "pad", "mortar", 6, 4),
+    (3, "plate", "mortar", 4, 5)])
 def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate):
     result = am.solve(grids(pad(dim, slave, coupling), dim, on_pad, on_plate), EXACT)
     area = 40e-3 if dim == 2 else 1.6e-3
@@ -393,26 +393,20 @@ def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate):
     # the supports of the pad take the friction
     taken = sum(result.resultant(name).force[0] for name in ("pad.left", "pad.right"))
     assert taken == pytest.approx(-on_the_pad[0], rel=1e-8)
-    if (dim, slave, coupling) == (3, "pad", "mortar"):
-        # nodes whose slip the plate cannot tell apart carry no multiplier
-        assert len(result.contact) < len(result.mesh.boundary_nodes("pad.bottom"))
+    # held nodes of the pad carry no multiplier: their neighbours take their part
+    assert slave == "plate" or len(result.contact) < len(result.mesh.boundary_nodes("pad.bottom"))
+    assert result.certificate().worst.relative < 1e-8
 
 
-def test_some_of_it_sticks_under_a_small_pull():
-    result = am.solve(grids(pad(2, pull=1e-6), 2, 16, 16), EXACT)
-    sticks = result.contact.state == am.STICK
-    assert sticks.any() and np.abs(result.contact.slip[sticks]).max() <= 1e-15
-    assert_balanced(result, Parts.of(pad(2, pull=1e-6), result.mesh), 1e-7)
-
-
-def test_a_history_of_the_pad():
-    """Pulled, pushed back, and left: friction at the held corners follows, as in solves of the single steps."""
-    levels = grids(pad(2), 2, 8, 5)
-    path = am.LoadPath({"plate.bottom": [1.0, -1.0]}, default=1.0)
-    forth, back = am.solve_path(levels, path, am.FullMultigrid(rtol=1e-11))
-    size = FRICTION * PRESSURE * 40e-3
-    assert forth.resultant("pad.bottom").force[0] == pytest.approx(size, rel=1e-9)
-    assert back.resultant("pad.bottom").force[0] == pytest.approx(-size, rel=1e-9)
+def test_a_slave_that_is_held_along_its_whole_surface_is_refused():
+    held = replace(pad(2), supports=(*pad(2).supports, am.Support("pad.bottom", x=0)))
+    with pytest.raises(ValueError, match=r"holds slave 'pad.bottom' along its surface.*exchange slave and master"):
+        grids(held, 2, 8, 5)
+    with pytest.raises(ValueError, match=r"slave node .* has a supported tangential component"):
+        discrete = grids(pad(2, friction=0.0), 2, 8, 5).finest.discrete
+        am.DiscreteProblem.coupled(
+            matrix=discrete.matrix, load=discrete.load, fixed=discrete.fixed, law=am.Coulomb(0.4),
+            contact=discrete.contact, weights=discrete.coupling.weights)
 
 
 @pytest.mark.parametrize(("law", "pull"), [(am.Coulomb(0.4), 1e-7), (am.Coulomb(0.4), 2e-5), (am.Tresca(1.5e7), 1e-7)],
