@@ -189,18 +189,14 @@ def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
 def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
     """ValueError unless each block is the transpose of its counterpart, relative to the diagonals of its two nodes.
     sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part is judged by its own stiffness."""
-    difference = matrix - matrix.T
-    if not difference.nnz:
-        return
-    dim = matrix.blocksize[0]
-    difference = sparse.bsr_array(difference, blocksize=(dim, dim))
+    difference, dim = sparse.coo_array(matrix - matrix.T), matrix.blocksize[0]
     scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))
-    rows = np.repeat(np.arange(len(scale)), np.diff(difference.indptr))
-    asymmetry = np.abs(difference.data).max(axis=(1, 2), initial=0.0) / (scale[rows] * scale[difference.indices])
-    worst = int(np.argmax(asymmetry))
-    if asymmetry[worst] > _ASYMMETRY:
+    rows, columns = (place // dim for place in difference.coords)
+    asymmetry = np.abs(difference.data) / (scale[rows] * scale[columns])
+    if asymmetry.max(initial=0.0) > _ASYMMETRY:
+        worst = int(np.argmax(asymmetry))
         raise ValueError(f"matrix must be symmetric; |A - A'| reaches {asymmetry[worst]:.2g} of the diagonal, between "
-                         f"nodes {rows[worst]} and {difference.indices[worst]}")
+                         f"nodes {rows[worst]} and {columns[worst]}")
 
 
 def check_bounds(law: Law, n: int) -> None:

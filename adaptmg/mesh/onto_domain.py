@@ -164,7 +164,7 @@ def on_surface(domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals:
     if isinstance(domain, Outline):
         return _on_outline(domain, name, a, b, normals)
     if isinstance(domain, Moved):
-        turn, offset = _rotation(domain), np.array(domain.offset)
+        turn, offset = domain.rotation, np.array(domain.offset)
         own = on_surface(domain.solid, name, (a - offset) @ turn, (b - offset) @ turn, normals @ turn)
         return own @ turn.T + offset
     if isinstance(domain, Ball):
@@ -184,14 +184,6 @@ def _stretched(vectors: np.ndarray, length: float) -> np.ndarray:
     """Vectors (n, dim) with their direction and this length; those without direction stay."""
     own = np.linalg.norm(vectors, axis=1)
     return vectors * np.where(own > 0, length / np.where(own > 0, own, 1.0), 1.0)[:, None]
-
-
-def _rotation(moved: Moved) -> np.ndarray:
-    """Rodrigues' matrix R: the solid's x goes to R x + offset."""
-    x, y, z = moved.axis
-    turn = math.radians(moved.angle)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(turn) * cross + (1 - math.cos(turn)) * cross @ cross
 
 
 def _on_revolution(domain: Revolution, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -245,18 +245,12 @@ class Slit(Outline):
     """An outline whose last holes have no width: along the left face of each crack, and back along the right one."""
 
     twins: Mapping[int, int] | None = None  # edge of a right face -> that of the left one at the same place
-    body: Outline | None = None  # the same without cracks
 
     __repr__ = brief
     __hash__ = Outline.__hash__
 
     def __post_init__(self) -> None:
         """Nothing: it is made of what has been checked."""
-
-    @property
-    def area(self) -> float:
-        """Exact area, m^2."""
-        return self.body.area
 
 
 @dataclass(frozen=True)
@@ -336,8 +330,7 @@ class Cracked(SolidDomain):
             vertices += [*path, *path[-2:0:-1]]
             names += [f"{name}.left"] * n + [f"{name}.right"] * n
             twins |= {first + n + j: first + n - 1 - j for j in range(n)}
-        return Slit(vertices=tuple(vertices), boundaries=tuple(names), arcs=body.arcs, holes=tuple(holes), twins=twins,
-                    body=body)
+        return Slit(vertices=tuple(vertices), boundaries=tuple(names), arcs=body.arcs, holes=tuple(holes), twins=twins)
 
     def _anchored(self) -> tuple[Outline, dict[str, Path]]:
         """The outline with a vertex where cracks end on it, and the cracks with these ends, or points of others; one of

@@ -55,21 +55,17 @@ class LoadPath:
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        values = {}
-        names = "names of boundaries or bodies to factors"
-        for name, value in checks.mapping("factors", self.factors, names).items():
-            checks.boundary_name("the names in factors", name)
-            values[name] = _factors(f"factors[{name!r}]", value)
-        default = _factors("default", self.default)
-        lengths = {name: value.size for name, value in {**values, DEFAULT: default}.items() if value.ndim}
-        if len(set(lengths.values())) > 1:
-            raise ValueError("factors must have the same number of steps, got "
+        factors = checks.mapping("factors", self.factors, "names of boundaries or bodies to factors")
+        values = {checks.boundary_name("the names in factors", name): _factors(f"factors[{name!r}]", value)
+                  for name, value in factors.items()} | {DEFAULT: _factors("default", self.default)}
+        lengths = {name: value.size for name, value in values.items() if value.ndim}
+        steps = max(lengths.values(), default=1)
+        if set(lengths.values()) - {steps} or not steps:
+            raise ValueError("factors must have the same number of steps, one at least, got "
                              + ", ".join(f"{n} for {name!r}" for name, n in lengths.items()))
-        steps = next(iter(lengths.values()), 1)
-        if not steps:
-            raise ValueError("factors are empty: give a factor for each step, one at least")
-        object.__setattr__(self, "factors", {name: _spread(value, steps) for name, value in values.items()})
-        object.__setattr__(self, "default", _spread(default, steps))
+        spread = {name: np.broadcast_to(value, (steps,)) for name, value in values.items()}
+        object.__setattr__(self, "default", spread.pop(DEFAULT))
+        object.__setattr__(self, "factors", spread)
 
     def __len__(self) -> int:
         return len(self.default)
@@ -129,12 +125,6 @@ def _factors(name: str, value: ArrayLike) -> np.ndarray:
     if not (np.abs(result) <= checks.VAST).all():
         raise ValueError(f"{name} must be at most {checks.VAST:g}, got {checks.shown(value)}")
     result[np.abs(result) <= _ROUNDING * np.abs(result).max(initial=0.0)] = 0.0
-    return result
-
-
-def _spread(value: np.ndarray, steps: int) -> np.ndarray:
-    result = np.array(np.broadcast_to(value, (steps,)))
-    result.flags.writeable = False
     return result
 
 

@@ -237,14 +237,16 @@ class Moved(SolidDomain):
         """Those of the solid."""
         return self.solid.boundaries
 
+    @property
+    def rotation(self) -> np.ndarray:
+        """Rodrigues' matrix R (3, 3): the solid's x goes to R x + offset."""
+        turn, cross = math.radians(self.angle), np.cross(np.eye(3), self.axis)
+        return np.eye(3) + math.sin(turn) * cross + (1 - math.cos(turn)) * cross @ cross
+
     def _extremes(self) -> np.ndarray:
         ends = np.stack([self.solid.lower, self.solid.upper])
         corners = np.stack([ends[[i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-        turn, axis = math.radians(self.angle), np.array(self.axis)
-        # Rodrigues' formula
-        turned = (math.cos(turn) * corners + math.sin(turn) * np.cross(axis, corners)
-                  + (1 - math.cos(turn)) * np.outer(corners @ axis, axis))
-        return turned + np.array(self.offset)
+        return corners @ self.rotation.T + np.array(self.offset)
 
 
 def _names(name: str, value: Mapping[str, str]) -> dict[str, str]:
