@@ -153,7 +153,7 @@ class TestOtherGrids:
 class TestData:
     def test_bad_factors_unknown_and_ambiguous_names(self, rough):
         for factors, default, message in (
-                ({"top": [1, 2], "left": [1, 2, 3]}, 1.0, "same number of steps, one at least, got 2 for 'top', 3 for 'left'"),
+                ({"top": [1, 2], "left": [1, 2, 3]}, 1.0, "one at least, got 2 for 'top', 3 for 'left'"),
                 ({"top": [1, 2]}, [1.0], "1 for 'default'"), ({"top": []}, 1.0, "one at least")):
             with pytest.raises(ValueError, match=message):
                 am.LoadPath(factors, default)
