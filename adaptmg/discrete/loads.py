@@ -30,6 +30,7 @@ from adaptmg.discrete.moduli import EDGE_PART, Materials, as_tensors, body_mater
 from adaptmg.discrete.supports import node_at
 from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.laws import Elastic, PlaneStress
 from adaptmg.problem.loads import (
     AnySupport,
     BodyForce,
@@ -41,7 +42,6 @@ from adaptmg.problem.loads import (
     Spring,
     Traction,
 )
-from adaptmg.problem.materials import Elastic, PlaneStress
 
 
 def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | None = None,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStress
+from adaptmg.problem.laws import Axisymmetric, Elastic, PlaneStress
 
 #: one material for all bodies, body name -> material, or what :func:`body_materials` returns
 Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]

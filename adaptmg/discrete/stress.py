@@ -45,8 +45,8 @@ from adaptmg.discrete.moduli import (
 )
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.laws import PlaneStress
 from adaptmg.problem.loads import InitialStrain, Load, Preload
-from adaptmg.problem.materials import PlaneStress
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:

@@ -2,7 +2,17 @@
 
 from adaptmg.problem.combined_domains import Assembly, Common, Cracked, Cut, Fuse
 from adaptmg.problem.contact_problem import Contact, ContactProblem
-from adaptmg.problem.laws import Coulomb, Frictionless, Law, Tresca
+from adaptmg.problem.laws import (
+    Axisymmetric,
+    Coulomb,
+    Elastic,
+    Frictionless,
+    Law,
+    PlaneStrain,
+    PlaneStress,
+    Solid,
+    Tresca,
+)
 from adaptmg.problem.load_path import LoadPath, step_problem
 from adaptmg.problem.loads import (
     BodyForce,
@@ -16,7 +26,6 @@ from adaptmg.problem.loads import (
     Symmetry,
     Traction,
 )
-from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStrain, PlaneStress, Solid
 from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Moving, Periodic, Plane, Rigid, Tied

@@ -10,9 +10,8 @@ from typing import Annotated, Any, get_args
 from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name
 from adaptmg._text import brief, html_fields
-from adaptmg.problem.laws import Frictionless, Law, check_law
+from adaptmg.problem.laws import Axisymmetric, Elastic, Frictionless, Law, PlaneStress, check_law
 from adaptmg.problem.loads import AnySupport, InitialStrain, Load, Preload, Pressure, Traction
-from adaptmg.problem.materials import Axisymmetric, Elastic, PlaneStress
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.surfaces import (
     AnyObstacle,

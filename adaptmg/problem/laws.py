@@ -1,6 +1,16 @@
-r"""Contact laws: what a contact node can bear tangentially.
+r"""Constitutive laws: elastic materials, and what a contact node can bear tangentially.
 
-With the compressive nodal force p >= 0 every law here has the form
+The stress of an isotropic material is :math:`\sigma = \lambda\,\mathrm{tr}(\varepsilon) I + 2\mu\,\varepsilon` with
+:math:`\mu = E / (2(1+\nu))` and :math:`\lambda = E\nu / ((1+\nu)(1-2\nu))` in three dimensions and in plane strain;
+plane stress has :math:`\lambda = E\nu / (1-\nu^2)`. Axisymmetric bodies have, besides the strains of the meridian plane
+(r, z), the hoop strain :math:`\varepsilon_{\theta\theta} = u_r / r`.
+
+Orthotropic materials have three axes at right angles. A stress :math:`\sigma_{11}` along the first alone makes the
+strains :math:`\sigma_{11} / E_1`, :math:`-\nu_{12}\,\sigma_{11} / E_1` and :math:`-\nu_{13}\,\sigma_{11} / E_1`, one
+along the second the strain :math:`-\nu_{23}\,\sigma_{22} / E_2` along the third, and shear the angles
+:math:`\gamma_{ij} = \sigma_{ij} / G_{ij}`.
+
+With the compressive nodal force p >= 0 every contact law here has the form
 
 .. math:: |f_t| \le s + \mu\,p, \qquad f_t \text{ opposite to the slip where equal},
 
@@ -11,18 +21,293 @@ a Tresca limit s plus a Coulomb part. A user-defined law is any object with the 
 from __future__ import annotations
 
 import copy
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Protocol, TypeVar, runtime_checkable
+from typing import Annotated, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
-from adaptmg._checks import FieldLike
+from adaptmg._checks import FieldLike, Size
 from adaptmg._text import brief, html_fields
 
 _AnyLaw = TypeVar("_AnyLaw")
+_FROM_LIMIT = 1e-9  # closer to its limits, one modulus is of the size of rounding of the other
+_ORTHOGONAL, _SYMMETRIC = 1e-6, 1e-9
+
+#: three material axes as rows, or points (n, dim) -> (n, 3, 3)
+Axes = np.ndarray | Sequence[Sequence[float]] | Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Anisotropy:
+    """A stiffness that depends on the direction, and how the axes of the material lie."""
+
+    stiffness: tuple[tuple[float, ...], ...]  # 6 x 6 along the axes of the material, Voigt: 11, 22, 33, 23, 13, 12; Pa
+    axes: tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None = None  # see Axes; None: x, y, z
+    angle: FieldLike = 0.0  # instead in the plane, from x to the first axis, degrees
+
+    @property
+    def varies(self) -> bool:
+        """Whether the axes depend on the position."""
+        return callable(self.axes) or callable(self.angle)
+
+    def nearest(self) -> tuple[float, float]:
+        """Return Young's modulus and Poisson's ratio of the isotropic material with means over directions (Voigt)."""
+        c = np.array(self.stiffness)
+        bulk = c[:3, :3].sum() / 9
+        shear = (np.trace(c[:3, :3]) - (c[0, 1] + c[0, 2] + c[1, 2]) + 3 * np.trace(c[3:, 3:])) / 15
+        return float(9 * bulk * shear / (3 * bulk + shear)), float((3 * bulk - 2 * shear) / (6 * bulk + 2 * shear))
+
+    def rotations(self, points: np.ndarray) -> np.ndarray:
+        """Return the axes (1 or n, 3, 3) at points (n, dim), checked."""
+        if self.axes is None:
+            turn = np.radians(checks.field("angle", self.angle, points if callable(self.angle) else points[:1]))
+            c, s, zero = np.cos(turn), np.sin(turn), np.zeros(len(turn))
+            return np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(-1, 3, 3)
+        if not callable(self.axes):
+            return np.array(self.axes)[None]
+        result = checks.array("axes", self.axes(points), (len(points), 3, 3))
+        _check_axes(result)
+        return result
+
+
+def _check_axes(axes: np.ndarray) -> None:
+    """ValueError unless the rows of matrices (n, 3, 3) are orthonormal."""
+    wrong = np.abs(axes @ axes.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    if not wrong.max(initial=0.0) <= _ORTHOGONAL:
+        raise ValueError("the rows of axes must be orthonormal (three unit vectors at right angles), got "
+                         f"{axes[int(np.argmax(wrong))].tolist()}")
+
+
+def _stiffness(young: Sequence[float], poisson: Sequence[float], shear: Sequence[float]) -> tuple:
+    """The stiffness (6, 6) of an orthotropic material."""
+    e, g = (tuple(checks.quantity(f"{name}[{i}]", value, positive=True) for i, value in enumerate(
+        checks.vector(name, values, 3))) for name, values in (("young", young), ("shear", shear)))
+    nu = checks.vector("poisson", poisson, 3)
+    compliance = np.diag(1 / np.array([*e, g[2], g[1], g[0]]))
+    for (i, j), ratio in zip(((0, 1), (0, 2), (1, 2)), nu, strict=True):
+        compliance[i, j] = compliance[j, i] = -ratio / e[i]
+    scale = np.sqrt(np.diag(compliance))  # moduli may differ by many orders
+    if not _positive_definite(compliance):
+        raise ValueError(f"young {e} and poisson {tuple(nu.tolist())} must make a positive definite stiffness: each "
+                         "nu_ij is below the root of E_i / E_j, and all three together are smaller")
+    return _table(np.linalg.inv(compliance / np.outer(scale, scale)) / np.outer(scale, scale))
+
+
+def _positive_definite(matrix: np.ndarray) -> bool:
+    """Whether the eigenvalues of a matrix are positive once its diagonal is scaled to 1."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    return bool(scale.all() and np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() > _FROM_LIMIT)
+
+
+def _table(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, (0.5 * (matrix + matrix.T)).tolist()))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Elastic(checks.Checked):
+    """Linear elasticity; use one of the subclasses.
+
+    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5]. Strains are to be small (a few per
+    cent). Above 0.45 linear elements lock, but in plane stress: they are too stiff, and stresses oscillate. Smoothed
+    ones do not (``ContactProblem.elements``), and 0.5 itself needs them. ``anisotropy`` is set by ``orthotropic`` and
+    ``anisotropic``; ``young`` and ``poisson`` are then those of the isotropic material with the same means over all
+    directions.
+    """
+
+    young: Size
+    poisson: Annotated[float, checks.number]
+    anisotropy: Annotated[Anisotropy, partial(checks.instance, types=Anisotropy)] | None = None
+    dim: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.anisotropy is not None and (self.young, self.poisson) != self.anisotropy.nearest():
+            raise ValueError("young and poisson of an anisotropic material follow from its stiffness: make another by "
+                             "orthotropic(...) or anisotropic(...)")
+        if not -1 + _FROM_LIMIT < self.poisson <= 0.5:
+            raise ValueError(f"poisson must be > -1 (by more than {_FROM_LIMIT:g}) and <= 0.5, got {self.poisson!r}")
+
+    def __repr__(self) -> str:
+        own = f", anisotropy={self.anisotropy!r}" if self.anisotropy is not None else ""
+        return f"{type(self).__name__}(young={self.young!r}, poisson={self.poisson!r}{own})"
+
+    @classmethod
+    def _of(cls, anisotropy: Anisotropy) -> Self:
+        young, poisson = anisotropy.nearest()
+        return cls(young=young, poisson=poisson, anisotropy=anisotropy)
+
+    @property
+    def least_stiffness(self) -> float:
+        """The least norm of the stress of a strain over that of the strain, Pa."""
+        if self.anisotropy is None:
+            return 2 * self.shear_modulus + min(3 * self.lame, 0.0)
+        # shear stresses and strains count twice in the norms of tensors
+        root = np.sqrt([1, 1, 1, 2, 2, 2])
+        return float(np.linalg.eigvalsh(np.array(self.anisotropy.stiffness) * np.outer(root, root)).min())
+
+    @property
+    def shear_modulus(self) -> float:
+        """Second Lame constant mu, Pa."""
+        return self.young / (2 * (1 + self.poisson))
+
+    @property
+    def lame(self) -> float:
+        """First Lame constant lambda as it enters the stress, Pa; infinite for Poisson's ratio 0.5."""
+        compressible = (1 + self.poisson) * (1 - 2 * self.poisson)
+        return self.young * self.poisson / compressible if compressible > 0 else math.inf
+
+    @property
+    def incompressible(self) -> bool:
+        """Whether ``lame`` is so large that only smoothed elements can take it."""
+        return self.lame > self.shear_modulus / _FROM_LIMIT
+
+
+class _Plane(Elastic):
+    """A material of plane or axisymmetric bodies."""
+
+    @classmethod
+    def orthotropic(cls, *, young: Sequence[float], poisson: Sequence[float], shear: Sequence[float],
+                    angle: FieldLike = 0.0) -> Self:
+        """Return a material with three axes at right angles, the third one out of the plane (axisymmetric: the hoop).
+
+        Parameters
+        ----------
+        young : three floats
+            Young's moduli E1, E2, E3 along the axes, Pa, > 0.
+        poisson : three floats
+            nu12, nu13, nu23: contraction along the second index over extension along the first.
+        shear : three floats
+            Shear moduli G12, G13, G23, Pa, > 0.
+        angle : float or callable
+            From x (axisymmetric: r) counter-clockwise to the first axis, degrees; a function of position is taken at
+            the centroids of elements.
+
+        Examples
+        --------
+        >>> wood = am.PlaneStrain.orthotropic(young=(12e9, 0.8e9, 0.5e9), poisson=(0.4, 0.4, 0.5),
+        ...                                   shear=(0.7e9, 0.6e9, 0.1e9), angle=30.0)
+        >>> wood.anisotropy.angle
+        30.0
+        """
+        return cls._of(Anisotropy(_stiffness(young, poisson, shear), angle=checks.function_or("angle", angle)))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PlaneStrain(_Plane):
+    """Plane strain: a long body, strain only in the plane. Forces are per metre of length.
+
+    Examples
+    --------
+    >>> am.PlaneStrain(young=2.1e11, poisson=0.3).young
+    210000000000.0
+    """
+
+    dim: ClassVar[int] = 2
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PlaneStress(_Plane):
+    """Plane stress: a thin sheet. Forces are per metre of thickness.
+
+    Examples
+    --------
+    >>> am.PlaneStress(young=2.1e11, poisson=0.3).young
+    210000000000.0
+    """
+
+    dim: ClassVar[int] = 2
+
+    @property
+    def lame(self) -> float:
+        """First Lame constant of plane stress, Pa."""
+        return self.young * self.poisson / (1 - self.poisson**2)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Axisymmetric(_Plane):
+    """A body of revolution without torsion: x is the radius r >= 0, y the axial coordinate z.
+
+    All forces are those over the full circumference, N: integrals are weighted with 2 pi r.
+
+    Examples
+    --------
+    >>> am.Axisymmetric(young=2.1e11, poisson=0.3).poisson
+    0.3
+    """
+
+    dim: ClassVar[int] = 2
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Solid(Elastic):
+    """A three-dimensional body.
+
+    Examples
+    --------
+    >>> am.Solid(young=2.1e11, poisson=0.3).young
+    210000000000.0
+    """
+
+    dim: ClassVar[int] = 3
+
+    @classmethod
+    def orthotropic(cls, *, young: Sequence[float], poisson: Sequence[float], shear: Sequence[float],
+                    axes: Axes | None = None) -> Self:
+        """Return a material with three axes at right angles.
+
+        Parameters
+        ----------
+        young, poisson, shear
+            As of :meth:`PlaneStrain.orthotropic`.
+        axes : array (3, 3) or callable, optional
+            The axes as rows, unit vectors; a function takes points (n, 3), the centroids of elements, and returns (n,
+            3, 3). Default x, y, z.
+
+        Examples
+        --------
+        >>> am.Solid.orthotropic(young=(12e9, 0.8e9, 0.5e9), poisson=(0.4, 0.4, 0.5), shear=(0.7e9, 0.6e9, 0.1e9)).dim
+        3
+        """
+        return cls._of(Anisotropy(_stiffness(young, poisson, shear), _axes(axes)))
+
+    @classmethod
+    def anisotropic(cls, stiffness: np.ndarray | Sequence[Sequence[float]], axes: Axes | None = None) -> Self:
+        """Return a material with any stiffness.
+
+        Parameters
+        ----------
+        stiffness : array (6, 6)
+            Stresses over strains in the order of Voigt, 11, 22, 33, 23, 13, 12, with the angles of shear (twice the
+            components of the tensor), Pa; symmetric and positive definite.
+        axes
+            As of :meth:`orthotropic`.
+
+        Examples
+        --------
+        >>> silicon = [[166, 64, 64, 0, 0, 0], [64, 166, 64, 0, 0, 0], [64, 64, 166, 0, 0, 0],
+        ...            [0, 0, 0, 80, 0, 0], [0, 0, 0, 0, 80, 0], [0, 0, 0, 0, 0, 80]]
+        >>> am.Solid.anisotropic([[1e9 * c for c in row] for row in silicon]).dim
+        3
+        """
+        c = checks.array("stiffness", stiffness, (6, 6))
+        if not np.abs(c - c.T).max() <= _SYMMETRIC * np.abs(c).max():
+            raise ValueError("stiffness must be symmetric")
+        if not _positive_definite(c):
+            raise ValueError("stiffness must be positive definite")
+        return cls._of(Anisotropy(_table(c), _axes(axes)))
+
+
+def _axes(axes: Axes | None) -> tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None:
+    if axes is None or (callable(axes) and not isinstance(axes, type)):
+        return axes
+    rows = checks.array("axes", axes, (3, 3))
+    _check_axes(rows[None])
+    return tuple(map(tuple, rows.tolist()))
 
 
 @runtime_checkable

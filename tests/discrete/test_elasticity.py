@@ -16,8 +16,8 @@ from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.problem import BodyForce, Box, PlaneStrain, PlaneStress, Pressure, Rectangle, Solid, Support, Traction
+from adaptmg.problem.laws import Axisymmetric
 from adaptmg.problem.loads import InitialStrain
-from adaptmg.problem.materials import Axisymmetric
 
 KINDS = {"plane strain": PlaneStrain, "plane stress": PlaneStress, "axisymmetric": Axisymmetric, "solid": Solid}
 EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
