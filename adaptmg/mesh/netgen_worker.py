@@ -68,23 +68,17 @@ def tables(mesh: netgen.meshing.Mesh, boundaries: Sequence[str] | None = None, b
     dim = mesh.dim
     if dim not in (2, 3):
         raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
-    volume = mesh.Elements2D() if dim == 2 else mesh.Elements3D()
-    if len(volume) == 0:
-        raise ValueError("the mesh has no elements" + (" (a surface mesh?); generate the volume mesh first"
-                                                       if dim == 3 else ""))
+    volume, surface = (mesh.Elements2D(), mesh.Elements1D()) if dim == 2 else (mesh.Elements3D(), mesh.Elements2D())
+    if len(volume) == 0 or len(surface) == 0:
+        raise ValueError("the mesh has no elements or no boundary facets; generate the volume mesh first")
     points = np.array(mesh.Coordinates(), dtype=np.float64)[:, :dim]
-    volume = volume.NumPy()
+    volume, surface = volume.NumPy(), surface.NumPy()
     bad = ~np.isin(volume["type"], _SIMPLICES[dim])
     if bad.any():
         raise ValueError(f"the mesh must consist of {'triangles' if dim == 2 else 'tetrahedra'}, but "
                          f"{np.count_nonzero(bad)} of {len(bad)} elements are others (quadrilaterals, hexahedra, ...), "
                          f"first element {int(np.argmax(bad))}; generate the mesh without quads")
-    elements = volume["nodes"][:, :dim + 1].astype(np.int64) - 1
-    surface = mesh.Elements1D() if dim == 2 else mesh.Elements2D()
-    if len(surface) == 0:
-        raise ValueError("the mesh has no boundary facets")
-    surface = surface.NumPy()
-    facets = surface["nodes"][:, :dim].astype(np.int64) - 1
+    elements, facets = (table["nodes"][:, :k].astype(np.int64) - 1 for table, k in ((volume, dim + 1), (surface, dim)))
     label, body = (table["index"].astype(np.int64) - 1 for table in (surface, volume))
     if dim == 3:
         faces = np.array([face.bc for face in mesh.FaceDescriptors()], dtype=np.int64) - 1

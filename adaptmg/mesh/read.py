@@ -17,13 +17,12 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._files import file_size
-from adaptmg._on_demand import OnDemand
 from adaptmg._text import printable, shortened
 from adaptmg.mesh.arrays import MeshArrays, normalised
 from adaptmg.mesh.contents import Contents, mesh_of
 from adaptmg.mesh.deck import read_deck
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen, read_s
-from adaptmg.mesh.soundness import check_mesh, check_stranger
+from adaptmg.mesh.soundness import check_stranger
 
 if TYPE_CHECKING:
     import ngsolve
@@ -59,7 +58,7 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     True
     """
     if isinstance(mesh, MeshArrays):
-        return check_mesh(mesh) if _fits(mesh) else check_stranger(mesh)
+        return mesh if mesh.sound and vars(mesh)["source"] is not None else check_stranger(mesh)
     if _is_ngsolve(mesh):
         return from_ngsolve(mesh)
     if not isinstance(mesh, str | Path):
@@ -72,19 +71,6 @@ def _is_ngsolve(mesh: object) -> bool:
     """Whether it is an ngsolve.Mesh; NGSolve is not loaded for the question."""
     module = sys.modules.get("ngsolve")
     return module is not None and isinstance(mesh, module.Mesh)
-
-
-def _fits(mesh: MeshArrays) -> bool:
-    """Whether the source is still that of the arrays: dataclasses.replace keeps it with new ones."""
-    if isinstance(vars(mesh)["source"], OnDemand):
-        return mesh.sound
-    if not _is_ngsolve(mesh.source) or mesh.points.ndim != 2:
-        return False
-    ngmesh = mesh.source.ngmesh
-    points = np.array(ngmesh.Coordinates(), dtype=np.float64)
-    volume = ngmesh.Elements2D() if mesh.dim == 2 else ngmesh.Elements3D()
-    return (mesh.source.dim == mesh.dim and len(volume) == len(mesh.elements)
-            and np.array_equal(points[:, :mesh.dim], mesh.points))
 
 
 def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
