@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptmg._numba import inner_kernel, kernel, read_only
+from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
-from adaptmg.geometry.search import STACK, BoxTree, leaf_range, morton_order, nearest_simplex, padded
+from adaptmg.geometry.search import STACK, BoxTree, leaf_range, nearest_simplex, padded
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +32,10 @@ class SimplexLocator:
 
     def __init__(self, points: np.ndarray, elements: np.ndarray, chosen: np.ndarray | None = None) -> None:
         chosen = np.arange(len(elements)) if chosen is None else chosen
-        if len(chosen) == 0:
-            raise ValueError("mesh: there are no elements to look at")
         self.dim, self.n_nodes = points.shape[1], len(points)
         self.tree = BoxTree(points, elements[chosen])
         self.element_of = chosen[self.tree.order].astype(np.int32)
-        self.maps = np.empty((len(chosen), self.dim * (self.dim + 1)))
-        in_parts(affine_maps, len(chosen), 2 * self.maps.size, self.tree.points, read_only(self.tree.simplices),
-                 self.maps)
+        self.maps = affine_maps(self.tree.points, self.tree.simplices)
         if not np.isfinite(self.maps.sum()) and (bad := ~np.isfinite(self.maps).all(axis=1)).any():
             raise ValueError(f"mesh: element {self.element_of[np.argmax(bad)]} has no volume; remove degenerate "
                              "elements")
@@ -56,8 +52,8 @@ class SimplexLocator:
         weights, distance = np.empty((n, self.dim + 1)), np.empty(n)
         # about as long as it takes to read this many numbers
         size = 20 * n
-        in_parts(locate, n, size, padded(queries), morton_order(queries), self.tree.points, self.tree.simplices,
-                 self.maps, self.tree.boxes, found, weights, distance, joined=False)
+        in_parts(locate, n, size, padded(queries), self.tree.points, self.tree.simplices, self.maps, self.tree.boxes,
+                 found, weights, distance, joined=False)
         return Location(element=self.element_of[found], weights=weights, distance=distance)
 
 
@@ -66,30 +62,17 @@ INSIDE = 1e-12
 _ROUNDING = 4 * np.finfo(np.float64).eps
 
 
-@kernel
-def affine_maps(first, last, points, elements, maps):
-    """Compute the origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim). Not finite
-    where an element has no volume."""
+def affine_maps(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
+    """Return the origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim), of points
+    (n, 3). Not finite where an element has no volume."""
     dim = elements.shape[1] - 1
+    origin = points[elements[:, 0]]
     # the gradients are cross products of the edges; in 2D the third edge is the unit vector along z
-    edges = np.empty((3, 3))
-    for m in range(3):
-        for c in range(3):
-            edges[m, c] = 1.0 if m == 2 and c == 2 else 0.0
-    for e in range(first, last):
-        for m in range(dim):
-            maps[e, m] = points[elements[e, 0], m]
-            for c in range(dim):
-                edges[m, c] = points[elements[e, m + 1], c] - points[elements[e, 0], c]
-        u, v, w = edges[0], edges[1], edges[2]
-        det = (u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2])
-               + u[2] * (v[0] * w[1] - v[1] * w[0]))
-        scale = 1.0 / det if det != 0.0 else np.inf
-        for m in range(dim):
-            v, w = edges[(m + 1) % 3], edges[(m + 2) % 3]
-            for c in range(dim):
-                i, j = (c + 1) % 3, (c + 2) % 3
-                maps[e, dim + m * dim + c] = (v[i] * w[j] - v[j] * w[i]) * scale
+    edges = [points[elements[:, m + 1]] - origin for m in range(dim)] + [np.array([[0.0, 0.0, 1.0]])] * (3 - dim)
+    normals = [np.cross(edges[(m + 1) % 3], edges[(m + 2) % 3])[:, :dim] for m in range(dim)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = 1.0 / (edges[0][:, :dim] * normals[0]).sum(axis=1, keepdims=True)
+        return np.hstack([origin[:, :dim], *(scale * normal for normal in normals)])
 
 
 @inner_kernel
@@ -120,11 +103,11 @@ def _box_contains(boxes, node, x, y, z, dim):
 
 
 @inner_kernel
-def _inside_below(top, x, y, z, maps, boxes, dim, stack):
-    """(element, leaf) below node ``top`` that contains a point, or (-1, -1)."""
+def _holder(x, y, z, maps, boxes, dim, stack):
+    """The position of an element that contains a point, -1 if there is none."""
     n = len(maps)
     n_leaves = (len(boxes) + 1) // 2
-    stack[0] = top
+    stack[0] = 0
     depth = 1
     while depth > 0:  # each node of the tree comes once
         depth -= 1
@@ -138,40 +121,23 @@ def _inside_below(top, x, y, z, maps, boxes, dim, stack):
         first, last = leaf_range(node, n_leaves, n)
         for s in range(first, last):
             if _inside(maps, s, x, y, z, dim):
-                return s, node
-    return -1, -1
-
-
-@inner_kernel
-def _find(x, y, z, start, maps, boxes, dim, stack):
-    """Climb from leaf ``start``: search it, its sibling, its parent's sibling, and so on up to the root."""
-    node = start
-    found, leaf = _inside_below(node, x, y, z, maps, boxes, dim, stack)
-    while found < 0 and node > 0:  # a level higher each time
-        sibling = node + 1 if node % 2 == 1 else node - 1
-        found, leaf = _inside_below(sibling, x, y, z, maps, boxes, dim, stack)
-        node = (node - 1) // 2
-    return found, leaf
+                return s
+    return -1
 
 
 @kernel
-def locate(first, last, queries, sequence, points, elements, maps, boxes, found, weights, distance):
-    """Locate ``queries`` (n, 3) in the order ``sequence[first:last]``; points outside get the closest point of the
-    mesh."""
+def locate(first, last, queries, points, elements, maps, boxes, found, weights, distance):
+    """Locate ``queries[first:last]`` (n, 3); points outside get the closest point of the mesh."""
     k = elements.shape[1]
     dim = k - 1
-    n_leaves = (len(boxes) + 1) // 2
     trial, candidate = np.empty(k), np.empty(k)
     stack = np.empty(STACK, dtype=np.int64)
-    leaf = n_leaves - 1
-    for s in range(first, last):
-        q = sequence[s]
+    for q in range(first, last):
         # numbers, not slices: making a slice costs more than looking into an element
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        best, at = _find(x, y, z, leaf, maps, boxes, dim, stack)
+        best = _holder(x, y, z, maps, boxes, dim, stack)
         distance[q] = 0.0
         if best >= 0:
-            leaf = at
             _take_clipped(maps, best, x, y, z, dim, q, weights)
         else:
             best, squared = nearest_simplex(queries[q], points, elements, boxes, dim, weights[q], trial, candidate,

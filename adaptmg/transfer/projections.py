@@ -260,9 +260,8 @@ def _body_entries(locator: interpolation.PointLocator, fine: MeshArrays, element
                   ) -> list[tuple[np.ndarray, ...]]:
     """Entries (element, coarse node, values) of clipped elements, then of those that need quadrature."""
     k = fine.dim + 1
-    covered, fine_maps = np.empty(len(elements)), np.empty((len(fine.elements), fine.dim * k))
-    fine_points, tree = padded(fine.points), locator.tree
-    affine_maps(0, len(fine_maps), fine_points, fine.elements, fine_maps)
+    covered, fine_points, tree = np.empty(len(elements)), padded(fine.points), locator.tree
+    fine_maps = affine_maps(fine_points, fine.elements)
     marker = np.full(locator.mesh.n_nodes, -1, dtype=np.int64)
     capacity = 8 * k * len(elements) + 64
     element, columns, values = np.empty(capacity, np.int64), np.empty(capacity, np.int32), np.empty((capacity, k))
