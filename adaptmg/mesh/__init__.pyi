@@ -3,8 +3,8 @@ from .bisection import bisect as bisect, refine_near as refine_near
 from .onto_domain import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized
 from .read import as_mesh as as_mesh, from_file as from_file, from_ngsolve as from_ngsolve
+from .sizes import SizeNear as SizeNear
 from .slits import split as split
-from .size_near import SizeNear as SizeNear
 from .soundness import (
     check_mesh as check_mesh, MeshQuality as MeshQuality, quality as quality, with_source as with_source
 )
