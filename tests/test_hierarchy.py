@@ -171,7 +171,7 @@ def test_nothing_is_made_that_nobody_asked_for(monkeypatch):
     def refuse(*_args, **_kwargs):
         raise AssertionError("made without being asked for")
 
-    for name in ("mesh.arrays.to_ngsolve", "mesh.soundness.facet_table",
+    for name in ("mesh.arrays.ngsolve_mesh", "mesh.soundness.facet_table",
                  "discrete.discretise.rigid_motions"):
         module, name = name.rsplit(".", 1)
         monkeypatch.setattr(import_module(f"adaptmg.{module}"), name, refuse)

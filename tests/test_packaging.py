@@ -74,7 +74,7 @@ def _public() -> dict[str, object]:
 #: need a file, a solved case or a machine's processes that no short example has
 WITHOUT_EXAMPLE = {
     "cases.TransitionField",
-    "mesh.onto_domain", "mesh.to_ngsolve", "mesh.with_source",
+    "mesh.onto_domain", "mesh.with_source",
     "study.local_cluster"}
 
 

@@ -1,4 +1,4 @@
-from .arrays import MeshArrays as MeshArrays, to_ngsolve as to_ngsolve
+from .arrays import MeshArrays as MeshArrays
 from .bisection import bisect as bisect, refine_near as refine_near
 from .onto_domain import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized

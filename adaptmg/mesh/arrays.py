@@ -7,7 +7,7 @@ is identified by its sorted nodes :math:`a < b (< c)`, packed into one integer :
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -48,20 +48,12 @@ def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """The history of a bisected mesh, as frozen arrays. The corners of such a mesh's elements are in the order of
+    """The history of a bisected mesh. The corners of such a mesh's elements are in the order of
     bisection: the edge between the first two is halved next."""
 
     parents: np.ndarray  # (n_nodes, 2) int32: a new node is halfway between them
     marks: np.ndarray  # (n_elements,) int8: marked edges of tetrahedra; 0 of triangles
     generation: np.ndarray  # (n_elements,) int16: how many bisections lead to the element
-
-    def __post_init__(self) -> None:
-        for one in fields(self):
-            getattr(self, one.name).flags.writeable = False
-
-    def __reduce__(self) -> tuple:
-        # by way of __init__: arrays come out of a pickle writable
-        return type(self), tuple(getattr(self, one.name) for one in fields(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +136,8 @@ class MeshArrays:
         object.__setattr__(self, "element_body", _frozen("element_body", body, np.int32))
         object.__setattr__(self, "boundaries", tuple(self.boundaries))
         object.__setattr__(self, "bodies", tuple(self.bodies))
-        _check_shapes(self)
+        _check_numbers(self.points, self.elements, self.facets)
+        _check_labels(self)
 
     def __repr__(self) -> str:
         kind = "triangles" if self.dim == 2 else "tetrahedra"
@@ -294,23 +287,25 @@ class Surface:
                            minlength=len(self.points))
 
 
-def _check_shapes(mesh: MeshArrays) -> None:
+def _check_numbers(points: np.ndarray, elements: np.ndarray, facets: np.ndarray) -> None:
     """Compiled code follows node numbers wherever they point."""
-    points, n = mesh.points, len(mesh.points) if mesh.points.ndim else 0
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
     if not np.isfinite(points).all():
         raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
-    if not mesh.elements.size:
+    if not elements.size:
         raise ValueError("the mesh has no elements")
-    for name, width in (("elements", mesh.dim + 1), ("facets", mesh.dim)):
-        array = getattr(mesh, name)
+    n, dim = points.shape
+    for name, array, width in (("elements", elements, dim + 1), ("facets", facets, dim)):
         if array.ndim != 2 or array.shape[1] != width:
-            raise ValueError(f"{name} must have shape (n, {width}) in {mesh.dim}D, got {array.shape}")
+            raise ValueError(f"{name} must have shape (n, {width}) in {dim}D, got {array.shape}")
         if len(array) and not 0 <= array.min() <= array.max() < n:
             bad = int(np.argmax(((array < 0) | (array >= n)).any(axis=1)))
             raise ValueError(f"{name}[{bad}] = {array[bad].tolist()} names a node that does not exist; "
                              f"there are {n} nodes, counted from 0")
+
+
+def _check_labels(mesh: MeshArrays) -> None:
     for name, count, what in (("facet_labels", len(mesh.facets), "boundaries"),
                               ("element_body", len(mesh.elements), "bodies")):
         index, names = getattr(mesh, name), getattr(mesh, what)
@@ -374,46 +369,36 @@ def swept(mesh: MeshArrays) -> MeshArrays:
 
 def sound_by_construction(mesh: MeshArrays, uniform: bool = False) -> MeshArrays:
     """Return the mesh, not checked (it was written down as it must be), with a source on demand."""
-    result = trusted(mesh, OnDemand(_ngsolve_mesh))
+    result = trusted(mesh, OnDemand(ngsolve_mesh))
     object.__setattr__(result, "uniform", uniform)
     return result
 
 
-def to_ngsolve(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_labels: np.ndarray,
-               boundaries: Sequence[str], *, element_body: np.ndarray | None = None,
-               bodies: Sequence[str] = ("body",)) -> ngsolve.Mesh:
-    """Build an NGSolve mesh from the arrays of a :class:`MeshArrays`; bodies become materials.
-
-    Nodes, elements and boundary elements have the numbers of the arrays; the mesh has no geometry, so it stays straight
-    when refined. ValueError on wrong shapes, or numbers out of range (which would crash NGSolve).
-    """
+def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
+    """Return the mesh for NGSolve, with the same numbers of nodes, elements and facets; bodies become materials. It has
+    no geometry, so that it stays straight when it is refined."""
     import netgen.meshing
     import ngsolve
 
-    arrays = MeshArrays(points, elements, facets, facet_labels, tuple(boundaries), element_body, tuple(bodies))
-    points, elements, dim = arrays.points, arrays.elements, arrays.dim
-    mesh = netgen.meshing.Mesh(dim=dim)
-    mesh.AddPoints(np.ascontiguousarray(np.pad(points, ((0, 0), (0, 3 - dim)))))
-    for i in range(len(bodies if dim == 2 else boundaries)):
-        mesh.Add(netgen.meshing.FaceDescriptor(surfnr=i + 1, domin=i + 1 if dim == 2 else 1, domout=0, bc=i + 1))
-    for i, name in enumerate(bodies):
-        mesh.SetMaterial(i + 1, name)
+    elements, dim = mesh.elements, mesh.dim
+    result = netgen.meshing.Mesh(dim=dim)
+    result.AddPoints(np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - dim)))))
+    for i in range(len(mesh.bodies if dim == 2 else mesh.boundaries)):
+        result.Add(netgen.meshing.FaceDescriptor(surfnr=i + 1, domin=i + 1 if dim == 2 else 1, domout=0, bc=i + 1))
+    for i, name in enumerate(mesh.bodies):
+        result.SetMaterial(i + 1, name)
     if dim == 3:
         # Netgen counts the other orientation of tetrahedra as positive
         elements = np.ascontiguousarray(elements[:, [0, 1, 3, 2]])
-    mesh.AddElements(dim=dim, index=1, data=elements, base=0)
-    mesh.AddElements(dim=dim - 1, index=1, data=arrays.facets, base=0)
-    volume, surface = ((mesh.Elements2D(), mesh.Elements1D()) if dim == 2 else (mesh.Elements3D(), mesh.Elements2D()))
-    volume.NumPy()["index"] = arrays.element_body + 1
-    surface.NumPy()["index"] = arrays.facet_labels + 1
-    for i, name in enumerate(boundaries):
-        mesh.SetBCName(i, name)
-    return ngsolve.Mesh(mesh)
-
-
-def _ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
-    return to_ngsolve(mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries,
-                      element_body=mesh.element_body, bodies=mesh.bodies)
+    result.AddElements(dim=dim, index=1, data=elements, base=0)
+    result.AddElements(dim=dim - 1, index=1, data=mesh.facets, base=0)
+    volume, surface = ((result.Elements2D(), result.Elements1D()) if dim == 2 else
+                       (result.Elements3D(), result.Elements2D()))
+    volume.NumPy()["index"] = mesh.element_body + 1
+    surface.NumPy()["index"] = mesh.facet_labels + 1
+    for i, name in enumerate(mesh.boundaries):
+        result.SetBCName(i, name)
+    return ngsolve.Mesh(result)
 
 
 MeshArrays.source = made_on_demand("source", "A straight ngsolve.Mesh of these arrays, or None.")
@@ -499,20 +484,14 @@ def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
 def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_index: np.ndarray,
                facet_names: Sequence[str], body_index: np.ndarray, body_names: Sequence[str]) -> MeshArrays:
     """Make MeshArrays of tables as files hold them: orientations set right, facets inside and unused nodes dropped."""
-    if len(elements) == 0:
-        raise ValueError("the mesh has no elements")
-    for name, array in (("elements", elements), ("facets", facets)):
-        if len(array) and (array.min() < 0 or array.max() >= len(points)):
-            raise ValueError(f"{name} name nodes {array.min()} to {array.max()}, there are {len(points)} "
-                             "(counted from 0)")
-    if not np.isfinite(points).all():
-        raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
-    dim, elements = points.shape[1], positive(points, elements)
+    facets = np.reshape(facets, (-1, points.shape[1]))
+    _check_numbers(points, elements, facets)
+    elements = positive(points, elements)
     number = np.full(len(points), -1, dtype=np.int64)
     used = np.unique(elements)
     number[used] = np.arange(len(used))
     points, elements = points[used], number[elements]
-    facets = number[np.reshape(facets, (-1, dim))]
+    facets = number[facets]
     facet_index = np.asarray(facet_index)[(facets >= 0).all(axis=1)]
     facets = facets[(facets >= 0).all(axis=1)]
     table = facet_table(elements, len(points))
@@ -525,9 +504,6 @@ def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, fac
 
 def _merged(index: np.ndarray, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
     """The distinct names that are used, in their order, and the index into them."""
-    used = np.unique(index)
-    distinct = tuple(dict.fromkeys(names[i] for i in used))
-    new = np.full(len(names), -1)
-    for i in used:
-        new[i] = distinct.index(names[i])
+    distinct = tuple(dict.fromkeys(names[i] for i in np.unique(index)))
+    new = np.array([distinct.index(name) if name in distinct else -1 for name in names])
     return distinct, new[index]

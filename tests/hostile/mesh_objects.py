@@ -17,8 +17,8 @@ from adaptmg.mesh import (
     onto_domain,
     refine_near,
     structured,
-    to_ngsolve,
 )
+from adaptmg.mesh.arrays import ngsolve_mesh
 
 SQUARE = structured(am.Rectangle(width=1, height=1), 3)
 CUBE = structured(am.Box(width=1, depth=1, height=1), 2)
@@ -42,7 +42,7 @@ def _set(mesh: MeshArrays, name: str, where, value) -> MeshArrays:
 
 def _raw(table: str, field: str, value) -> ngsolve.Mesh:
     """An ngsolve mesh, changed behind its back."""
-    mesh = to_ngsolve(CUBE.points, CUBE.elements, CUBE.facets, CUBE.facet_labels, CUBE.boundaries)
+    mesh = ngsolve_mesh(CUBE)
     if table == "Coordinates":
         mesh.ngmesh.Coordinates()[13] += value
     else:

@@ -10,7 +10,7 @@ from netgen.geom2d import SplineGeometry, unit_square
 from ngsolve.meshes import MakeStructured3DMesh
 from refused import refused
 
-from adaptmg.mesh import as_mesh, from_ngsolve, structured, to_ngsolve, with_source
+from adaptmg.mesh import as_mesh, from_ngsolve, structured, with_source
 from adaptmg.problem import Box, Rectangle
 
 MESHES = {"2D": structured(Rectangle(width=1, height=2), (3, 4)), "3D": structured(Box(width=1, depth=2, height=3), 2)}
@@ -80,12 +80,6 @@ def curved():
     return mesh
 
 
-def to_source(**changes):
-    mesh = MESHES["2D"]
-    names = ("points", "elements", "facets", "facet_labels", "boundaries")
-    return to_ngsolve(**({name: getattr(mesh, name) for name in names} | changes))
-
-
 ELEMENTS, LABELS = MESHES["2D"].elements, MESHES["2D"].facet_labels
 test_refused = refused(
     (lambda: from_ngsolve(curved()), r"has curved elements \(order 3\)"),
@@ -95,11 +89,12 @@ test_refused = refused(
      r"must consist of triangles, but .* first element 0"),
     (lambda: from_ngsolve(MakeStructured3DMesh(hexes=True, nx=2)), "must consist of tetrahedra"),
     # what would crash
-    (lambda: to_source(elements=ELEMENTS + 1), r"elements\[.*names a node that does not exist"),
-    (lambda: to_source(elements=ELEMENTS[:, :2]), r"elements must have shape \(n, 3\)"),
-    (lambda: to_source(facet_labels=LABELS + 1), r"facet_labels must index boundaries \(4 names\)"),
-    (lambda: to_source(facet_labels=LABELS[1:]), "facet_labels must have shape"),
-    (lambda: to_source(points=MESHES["2D"].points[:, :1]), "points must have shape"))
+    *((lambda changes=changes: replace(MESHES["2D"], source=None, **changes), message) for changes, message in (
+        ({"elements": ELEMENTS + 1}, r"elements\[.*names a node that does not exist"),
+        ({"elements": ELEMENTS[:, :2]}, r"elements must have shape \(n, 3\)"),
+        ({"facet_labels": LABELS + 1}, r"facet_labels must index boundaries \(4 names\)"),
+        ({"facet_labels": LABELS[1:]}, "facet_labels must have shape"),
+        ({"points": MESHES["2D"].points[:, :1]}, "points must have shape"))))
 
 
 def test_as_mesh_takes_arrays_and_reads_copies(tmp_path, monkeypatch):
@@ -115,5 +110,5 @@ def test_as_mesh_takes_arrays_and_reads_copies(tmp_path, monkeypatch):
         as_mesh(tmp_path / "mesh.stl")
     mesh = structured(Rectangle(width=1, height=1), 2)
     # nobody asks for the source
-    monkeypatch.setattr("adaptmg.mesh.arrays.to_ngsolve", lambda *_, **__: pytest.fail("built"))
+    monkeypatch.setattr("adaptmg.mesh.arrays.ngsolve_mesh", lambda *_: pytest.fail("built"))
     assert as_mesh(mesh) is mesh and as_mesh(replace(mesh, source=None)).sound

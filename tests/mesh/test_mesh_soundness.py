@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, from_ngsolve, quality, structured, to_ngsolve
-from adaptmg.mesh.arrays import element_facets, facet_keys, facet_table, normalised
+from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, from_ngsolve, quality, structured
+from adaptmg.mesh.arrays import element_facets, facet_keys, facet_table, ngsolve_mesh, normalised
 from adaptmg.mesh.soundness import check_overlap
 from adaptmg.problem import Box, Rectangle
 
@@ -105,7 +105,7 @@ def test_a_folded_node_is_found_from_every_source(mesh):
     points = mesh.points.copy()
     points[np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)[0]] += np.linspace(0.6, 0.5, mesh.dim)
     bad = turned(mesh, points)
-    raw = to_ngsolve(bad.points, bad.elements, bad.facets, bad.facet_labels, bad.boundaries)
+    raw = ngsolve_mesh(bad)
     for read in (lambda: check_mesh(bad), lambda: as_mesh(bad), lambda: from_ngsolve(raw)):
         with pytest.raises(ValueError, match="both their elements on the same side: the mesh is folded over"):
             read()
