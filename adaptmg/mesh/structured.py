@@ -23,13 +23,14 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._text import warn_user
-from adaptmg.mesh.arrays import MOST_NODES, MeshArrays, facet_table, normalised, sound_by_construction
+from adaptmg.mesh.arrays import MOST_NODES, MeshArrays, element_facets, normalised, sound_by_construction
 from adaptmg.mesh.sizes import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import Box, Domain, Rectangle
 
 Divisions = int | Sequence[int]
+Value = TypeVar("Value")
 #: what making the mesh takes at its peak, measured
 _BYTES_PER_NODE = {2: 600, 3: 2000}
 
@@ -71,10 +72,23 @@ def structured(domain: Domain, divisions: Divisions | Mapping[str, Divisions],
 
 def lattices(domain: Domain, divisions: Divisions | Mapping[str, Divisions], diagonal: str) -> MeshArrays:
     """Return what :func:`structured` does, without a warning."""
+    checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
+    meshes = {body: _lattice(part, counts, diagonal) for body, (part, counts) in _parts(domain, divisions).items()}
+    return merged(meshes) if isinstance(domain, Assembly) else meshes[""]
+
+
+def _parts(domain: Domain, divisions: Divisions | Mapping[str, Divisions]
+           ) -> dict[str, tuple[Rectangle | Box, tuple[int, ...]]]:
+    """Each body, called "" where it is alone, and its cells along each axis."""
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
-        return merged({body: _lattice(part, apart[body], diagonal) for body, part in domain.parts.items()})
-    return _lattice(domain, divisions, diagonal)
+        return {body: _parts(part, apart[body])[""] for body, part in domain.parts.items()}
+    if not isinstance(domain, Rectangle | Box):
+        raise TypeError("structured grids are made of a Rectangle or a Box, or an Assembly of them, got "
+                        f"{checks.described(domain)}; graded meshes other domains (Hierarchy.graded)")
+    if isinstance(divisions, Mapping):
+        raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
+    return {"": (domain, _divisions(divisions, domain.dim))}
 
 
 #: sides of cells over each other from which cycles are many: bar and block take 8 and 10 with 1 : 1, 12 and 14 with 2,
@@ -84,36 +98,20 @@ _STRETCHED = 3.0
 
 def warn_of_stretched(domain: Domain, divisions: Divisions | Mapping[str, Divisions]) -> None:
     """Warn of cells much longer than wide, with the divisions that make them square."""
-    if isinstance(domain, Assembly):
-        for body, apart in per_body("divisions", divisions, domain.bodies).items():
-            warn_of_stretched(domain.parts[body], apart)
-        return
-    counts = _counts(domain, divisions)
-    sides = np.subtract(domain.upper, domain.lower)
-    cells = sides / counts
-    ratio = cells.max() / cells.min()
-    if ratio > _STRETCHED * (1 + 1e-9):
-        size = min(float(np.prod(cells)) ** (1 / len(cells)), sides.min())
-        square = tuple(int(n) for n in np.maximum(np.rint(sides / size), 1))
-        warn_user(f"divisions {counts}: the cells are {ratio:.3g} times as long as wide, which takes multigrid many "
-                  f"cycles and makes elements inaccurate; divisions {square} make them about square")
+    for part, counts in _parts(domain, divisions).values():
+        sides = np.subtract(part.upper, part.lower)
+        cells = sides / counts
+        ratio = cells.max() / cells.min()
+        if ratio > _STRETCHED * (1 + 1e-9):
+            size = min(float(np.prod(cells)) ** (1 / len(cells)), sides.min())
+            square = tuple(int(n) for n in np.maximum(np.rint(sides / size), 1))
+            warn_user(f"divisions {counts}: the cells are {ratio:.3g} times as long as wide, which takes multigrid "
+                      f"many cycles and makes elements inaccurate; divisions {square} make them about square")
 
 
-def _counts(domain: Rectangle | Box, divisions: Divisions) -> tuple[int, ...]:
-    """Cells along each axis; what cannot be divided so is refused."""
-    if not isinstance(domain, Rectangle | Box):
-        raise TypeError("structured grids are made of a Rectangle or a Box, or an Assembly of them, got "
-                        f"{checks.described(domain)}; graded meshes other domains (Hierarchy.graded)")
-    if isinstance(divisions, Mapping):
-        raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
-    return _divisions(divisions, domain.dim)
-
-
-def _lattice(domain: Rectangle | Box, divisions: Divisions, diagonal: str) -> MeshArrays:
+def _lattice(domain: Rectangle | Box, counts: tuple[int, ...], diagonal: str) -> MeshArrays:
     """See :func:`structured`; one body."""
-    counts = _counts(domain, divisions)
     dim = domain.dim
-    checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
     if dim == 3 and diagonal != "right":
         raise ValueError(f"diagonal must be 'right' in 3D, got {diagonal!r}")
     sides = [lower + np.arange(n + 1) / n * (upper - lower)
@@ -171,23 +169,17 @@ def _strides(counts: tuple[int, ...]) -> np.ndarray:
 
 
 def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Outward facets and their labels: side by side, along each in the order of the nodes. All cells of a side have the
-    same facets there: those of one cell are moved along the side."""
-    dim, stride = len(counts), _strides(counts)
-    corners = np.stack(np.meshgrid(*[[0, 1]] * dim, indexing="ij")[::-1], axis=-1).reshape(-1, dim)
-    first = np.zeros(1, dtype=np.int32)
-    single = (1,) * dim
-    table = facet_table(_triangles(first, single, "right") if dim == 2 else _kuhn(first, single), len(corners))
-    outer = table.facets[table.counts == 1]
-    facets = []
+    """Outward facets and their labels: side by side, along each in the order of the nodes."""
+    dim, strides, facets = len(counts), _strides(counts), []
     for name in names:
         axis, end = BOX_SIDES[name]
         axis = min(axis, dim - 1)
-        here = corners[outer[(corners[outer, axis] == end).all(axis=1)]] @ stride
         cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
-        found = (cells[:, None, None] + here).reshape(-1, dim)
-        facets.append(found[np.lexsort(np.sort(found, axis=1).T[::-1])])
-    return np.concatenate(facets), np.repeat(np.arange(len(facets)), [len(found) for found in facets])
+        elements = _triangles(cells, counts, "right") if dim == 2 else _kuhn(cells, counts)
+        every = element_facets(elements).reshape(-1, dim)
+        here = every[(every // strides[axis] % (counts[axis] + 1) == end * counts[axis]).all(axis=1)]
+        facets.append(here[np.lexsort(np.sort(here, axis=1).T[::-1])])
+    return np.concatenate(facets), np.repeat(np.arange(len(facets)), [len(here) for here in facets])
 
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
@@ -229,9 +221,6 @@ def _kuhn(cells: np.ndarray, counts: tuple[int, ...]) -> np.ndarray:
     result = np.empty((6 * len(cells), 4), dtype=np.int32)
     np.add(cells[:, None, None], np.array(tetrahedra, dtype=np.int32), out=result.reshape(-1, 6, 4))
     return result
-
-
-Value = TypeVar("Value")
 
 
 def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
