@@ -1,7 +1,5 @@
-r"""Galerkin coarse matrices :math:`P^T A P` of a block matrix and a nodal prolongation, row by row (Gustavson).
-
-Blocks are never expanded: a weight multiplies a block as a whole. Coarse spaces of a bare matrix come from pyamg's
-smoothed aggregation.
+r"""Galerkin coarse matrices :math:`P^T A P` of a block matrix and a nodal prolongation; coarse spaces of a bare matrix
+from pyamg's smoothed aggregation.
 """
 
 from __future__ import annotations
@@ -12,76 +10,9 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._numba import kernel, read_only
-from adaptmg._threads import in_parts, one_blas_thread, seeded
+from adaptmg._threads import one_blas_thread, seeded
 
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
-
-
-@kernel
-def _pattern(first, last, a_indptr, a_indices, b_indptr, b_indices, columns, counts):
-    """Entries of the rows of the product of two patterns, one place further: what row pointers are summed from."""
-    marker = np.empty(columns, dtype=np.int64)
-    for k in range(columns):
-        marker[k] = -1
-    for i in range(first, last):
-        count = 0
-        for p in range(a_indptr[i], a_indptr[i + 1]):
-            k = a_indices[p]
-            for q in range(b_indptr[k], b_indptr[k + 1]):
-                if marker[b_indices[q]] != i:
-                    marker[b_indices[q]] = i
-                    count += 1
-        counts[i + 1] = count
-
-
-@kernel
-def _multiply(first, last, zero, left, a_indptr, a_indices, b_indptr, b_indices, weights, blocks, columns, indptr,
-              indices, data):
-    """Rows of C = A B, one of them weights (A if ``left``), the other one blocks."""
-    size, place = len(zero), np.empty(columns, dtype=np.int64)
-    for k in range(columns):
-        place[k] = -1
-    for i in range(first, last):
-        begin = indptr[i]
-        end = begin
-        for s in range(a_indptr[i], a_indptr[i + 1]):
-            k = a_indices[s]
-            for q in range(b_indptr[k], b_indptr[k + 1]):
-                j = b_indices[q]
-                weight, of = weights[s if left else q], size * (q if left else s)
-                at = place[j]
-                if at < begin:
-                    at = end
-                    place[j] = at
-                    indices[at] = j
-                    end += 1
-                    for c in range(size):
-                        data[size * at + c] = 0.0
-                for c in range(size):
-                    data[size * at + c] += weight * blocks[of + c]
-
-
-@kernel
-def _sort_rows(first, last, dim, indptr, indices, data, longest, new_indices, new_data, diagonal):
-    """Blocks in the order of their columns, and the ``diagonal`` (rows * dim,) of those on it."""
-    size, order = dim * dim, np.empty(longest, dtype=np.int32)
-    for i in range(first, last):
-        begin, end = indptr[i], indptr[i + 1]
-        for s in range(begin, end):
-            at = s - begin
-            while at > 0 and indices[order[at - 1]] > indices[s]:  # one further down each time
-                order[at] = order[at - 1]
-                at -= 1
-            order[at] = s
-        for k in range(end - begin):
-            s, to = order[k], begin + k
-            new_indices[to] = indices[s]
-            for c in range(size):
-                new_data[size * to + c] = data[size * s + c]
-            if indices[s] == i:
-                for c in range(dim):
-                    diagonal[dim * i + c] = data[size * s + c * (dim + 1)]
 
 
 def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
@@ -90,24 +21,25 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
     Sorted columns; every coarse node has a diagonal block, that of a node which nothing reaches is the mean of the
     others' diagonals.
     """
-    dim = matrix.blocksize[0]
-    size, coarse = dim * dim, nodal.shape[1]
-    half = _product(size, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)), nodal, coarse, left=False)
-    indptr, indices, data = _product(size, half, sparse.csr_array(nodal.T), coarse, left=True)
-    indptr, indices, data = _with_diagonal_blocks(indptr, indices, data.reshape(-1, dim, dim))
-    in_order, blocks = np.empty_like(indices), np.empty(data.size)
-    diagonal, longest = np.empty(coarse * dim), int(np.diff(indptr).max())
-    in_parts(_sort_rows, coarse, data.size, dim, indptr, indices, data.reshape(-1), longest, in_order, blocks, diagonal)
-    blocks = blocks.reshape(-1, dim, dim)
+    dim, coarse = matrix.blocksize[0], nodal.shape[1]
+    # products of scalars would drop entries that vanish, and truncation needs the whole pattern: a column of zeros more
+    wide = max(dim, 2)
+    prolongation = sparse.bsr_array((nodal.data[:, None, None] * np.eye(dim, wide), nodal.indices, nodal.indptr),
+                                    shape=(nodal.shape[0] * dim, coarse * wide))
+    product = sparse.bsr_array(prolongation.T @ (matrix @ prolongation), blocksize=(wide, wide))
+    blocks = np.ascontiguousarray(product.data[:, :dim, :dim])
+    indptr, indices, data = _with_diagonal_blocks(product.indptr, product.indices, blocks)
+    result = sparse.bsr_array((data, indices, indptr), shape=(coarse * dim, coarse * dim))
+    result.sort_indices()
+    diagonal = result.diagonal()
     empty = ~(diagonal > 0)
     if empty.any():
-        # in place: a sum of sparse matrices would drop blocks that vanish, and truncation needs the whole pattern
+        # in place: a sum would drop blocks that vanish
         node, component = np.nonzero(empty.reshape(-1, dim))
-        on = np.flatnonzero(np.repeat(np.arange(coarse), np.diff(indptr)) == in_order)
-        blocks[on[node], component, component] = diagonal[~empty].mean() if not empty.all() else 1.0
-    result = sparse.bsr_array((blocks, in_order, indptr), shape=(coarse * dim, coarse * dim))
+        on = np.flatnonzero(np.repeat(np.arange(coarse), np.diff(indptr)) == result.indices)
+        result.data[on[node], component, component] = diagonal[~empty].mean() if not empty.all() else 1.0
     # scipy would look through them again
-    result.has_sorted_indices = result.has_canonical_format = True
+    result.has_canonical_format = True
     return result
 
 
@@ -138,23 +70,6 @@ def _with_diagonal_blocks(indptr: np.ndarray, indices: np.ndarray, data: np.ndar
     counts = np.diff(indptr) + ~has
     return (np.append(0, np.cumsum(counts)).astype(indptr.dtype), np.insert(indices, at, missing),
             np.insert(data, at, 0.0, axis=0))
-
-
-def _product(size: int, blocks: tuple[np.ndarray, np.ndarray, np.ndarray], weights: sparse.csr_array, columns: int, *,
-             left: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Blocks (indptr, indices, data) times weights, or (``left``) weights times blocks; n ``columns``."""
-    # one kind of index arrays, whether a hierarchy holds them or not
-    factors = [tuple(map(read_only, blocks[:2])), (read_only(weights.indptr), read_only(weights.indices))]
-    if left:
-        factors.reverse()
-    # kernels know the number of entries of a block when they are compiled
-    zero, indptr, rows = (0.0,) * size, np.zeros(len(factors[0][0]), dtype=np.int64), len(factors[0][0]) - 1
-    in_parts(_pattern, rows, len(blocks[2]), *factors[0], *factors[1], columns, indptr)
-    np.cumsum(indptr, out=indptr)
-    indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1] * size)
-    in_parts(_multiply, rows, len(blocks[2]), zero, left, *factors[0], *factors[1], weights.data, blocks[2], columns,
-             indptr, indices, data)
-    return indptr.astype(np.int32), indices, data
 
 
 def _prolongation(name: str, value: object) -> sparse.csr_array:
