@@ -94,8 +94,9 @@ class MeshArrays:
     refinement : Refinement or None
         The history of a bisected mesh, which further bisection needs. Pickled, but not saved in a result;
         a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
-    uniform : bool
-        Whether :func:`adaptmg.mesh.structured` made it: of such meshes errors fall evenly.
+    lattices : tuple of tuple of int
+        Cells along each axis of each body of a structured mesh, between which interpolation needs no search; empty for
+        others.
     notes : tuple of str
         What :func:`adaptmg.mesh.from_file` says of the file: elements that were cut, materials, what was not read.
 
@@ -117,7 +118,7 @@ class MeshArrays:
     source: ngsolve.Mesh | None = field(default=None, repr=False)
     sound: bool = field(default=False, init=False, repr=False)
     refinement: Refinement | None = field(default=None, init=False, repr=False)
-    uniform: bool = field(default=False, init=False, repr=False)
+    lattices: tuple[tuple[int, ...], ...] = field(default=(), init=False, repr=False)
     notes: tuple[str, ...] = field(default=(), init=False, repr=False)
 
     if TYPE_CHECKING:
@@ -164,7 +165,7 @@ class MeshArrays:
         # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
         return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
                             self.element_body, self.bodies), {name: getattr(self, name)
-                                                       for name in ("sound", "refinement", "uniform", "notes")}
+                                                       for name in ("sound", "refinement", "lattices", "notes")}
 
     def __copy__(self) -> MeshArrays:
         # what is frozen needs no second copy, and a source that nobody has asked for yet is built once
@@ -367,10 +368,10 @@ def swept(mesh: MeshArrays) -> MeshArrays:
                                          source=None))
 
 
-def sound_by_construction(mesh: MeshArrays, uniform: bool = False) -> MeshArrays:
+def sound_by_construction(mesh: MeshArrays, lattices: tuple[tuple[int, ...], ...] = ()) -> MeshArrays:
     """Return the mesh, not checked (it was written down as it must be), with a source on demand."""
     result = trusted(mesh, OnDemand(ngsolve_mesh))
-    object.__setattr__(result, "uniform", uniform)
+    object.__setattr__(result, "lattices", lattices)
     return result
 
 

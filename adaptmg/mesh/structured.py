@@ -125,7 +125,8 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...], diagonal: str) ->
         points.reshape(*(n + 1 for n in counts[::-1]), dim)[..., k] = side.reshape(-1, *[1] * k)
     for array in (points, elements):
         array.flags.writeable = False
-    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries), diagonal == "right")
+    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries),
+                                 (counts,) if diagonal == "right" else ())
 
 
 def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
@@ -278,7 +279,7 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
         facet_labels=np.concatenate([mesh.facet_labels + start for mesh, start in zip(parts, labels, strict=True)]),
         boundaries=tuple(f"{body}.{name}" for body, mesh in meshes.items() for name in mesh.boundaries),
         element_body=np.repeat(np.arange(len(parts)), [len(mesh.elements) for mesh in parts]), bodies=tuple(meshes)),
-        all(mesh.uniform for mesh in parts))
+        sum((mesh.lattices for mesh in parts), ()) if all(mesh.lattices for mesh in parts) else ())
 
 
 def _starts(counts: Iterable[int]) -> np.ndarray:

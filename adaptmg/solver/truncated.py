@@ -319,7 +319,7 @@ class TruncatedRun:
         fall like 1/n on uniform plane grids of n nodes. 0 elsewhere."""
         levels = self.hierarchy.levels[number - 1:number + 2] if number > 0 else ()
         meshes = [level.mesh_or_none for level in levels]
-        if len(meshes) < 3 or not all(mesh is not None and mesh.dim == 2 and mesh.uniform for mesh in meshes):
+        if len(meshes) < 3 or not all(mesh is not None and mesh.dim == 2 and mesh.lattices for mesh in meshes):
             return 0.0
         before, here, after = (1 / mesh.n_nodes for mesh in meshes)
         return (here - after) / (before - here)

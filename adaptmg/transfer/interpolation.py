@@ -18,6 +18,7 @@ its distance is not a scale.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -59,6 +60,9 @@ class Interpolation:
 
         ValueError if a fine node lies outside by more than a quarter of an element, or bodies or dimensions differ.
         """
+        _check_meshes(coarse, fine)
+        if (rows := _between_lattices(coarse, fine)) is not None:
+            return rows
         found = locate_nodes(coarse, fine)
         return csr_from_weights(coarse.elements[found.element], found.weights, coarse.n_nodes)
 
@@ -137,6 +141,35 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
             f"({np.count_nonzero(relative > OUTSIDE_TOLERANCE)} nodes exceed {OUTSIDE_TOLERANCE:g}). Both meshes must "
             "describe the same body in the same units; if they do, refine the coarse mesh at the curved boundary")
     return Location(element=element, weights=weights, distance=distance)
+
+
+def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
+    """Rows of interpolation between structured meshes of the same bodies, to rounding; None for other meshes."""
+    if not (coarse.bodies == fine.bodies and len(coarse.lattices) == len(fine.lattices) > 0):
+        return None
+    node, column, weights = 0, 0, np.empty((fine.n_nodes, fine.dim + 1))
+    columns = np.empty(weights.shape, dtype=np.int32)
+    for below, above in zip(coarse.lattices, fine.lattices, strict=True):
+        strides = np.cumprod([1, *(m + 1 for m in below)], dtype=np.int32)
+        end, last = node + math.prod(n + 1 for n in above), column + int(strides[-1])
+        if (coarse.points[[column, last - 1]] != fine.points[[node, end - 1]]).any():
+            return None
+        lowest, shares = np.int32(column), []
+        for k, (m, n) in enumerate(zip(below, above, strict=True)):
+            # of nodes along an axis the coarse cell, and how far in it they lie
+            cell, rest = np.divmod(np.arange(n + 1) * m, n)
+            lowest = (strides[k] * cell.astype(np.int32)).reshape(-1, *[1] * k) + lowest
+            shares.append((rest / n).reshape(-1, *[1] * k))
+        share = np.stack(np.broadcast_arrays(*shares), axis=-1).reshape(-1, fine.dim)
+        # from the largest share to the smallest: the corners of the simplex that holds the node
+        order = np.argsort(-share, axis=1, kind="stable")
+        share = np.take_along_axis(share, order, axis=1)
+        columns[node:end, 0] = lowest.reshape(-1)
+        np.cumsum(strides[order], axis=1, out=columns[node:end, 1:])
+        columns[node:end, 1:] += columns[node:end, :1]
+        weights[node:end] = -np.diff(share, axis=1, prepend=1.0, append=0.0)
+        node, column = end, last
+    return csr_from_weights(columns, weights, coarse.n_nodes)
 
 
 CLIP = 1e-10

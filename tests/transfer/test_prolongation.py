@@ -66,6 +66,22 @@ def test_every_transfer_on_every_pair(transfer, pair):
         assert abs(transfer.build(coarse, swapped) - P).max() == 0
 
 
+PLATE, BLOCK = am.Rectangle(width=0.3, height=0.2, origin=(0.1, -0.7)), am.Box(width=1, depth=2, height=0.7)
+ON_PLATE = am.Assembly(parts={"plate": PLATE, "below": am.Rectangle(width=1, height=1, origin=(0, -1.7)),
+                               "side": am.Rectangle(width=1, height=2, origin=(3, 0))})
+
+
+@pytest.mark.parametrize(("domain", "coarse", "fine"), [
+    (PLATE, 3, 6), (PLATE, (3, 5), (4, 7)), (PLATE, 7, 3), (BLOCK, 2, 4), (BLOCK, (2, 3, 1), (3, 4, 2)),
+    (ON_PLATE, {"plate": 2, "below": 3, "side": 2}, {"plate": 4, "below": 5, "side": 3})])
+def test_structured_meshes_are_interpolated_as_by_search(domain, coarse, fine):
+    meshes = [structured_mesh(domain, divisions) for divisions in (coarse, fine)]
+    known, searched = (am.Interpolation().build(*pair) for pair in (meshes, [replace(mesh) for mesh in meshes]))
+    np.testing.assert_array_equal(known.indptr, searched.indptr)
+    np.testing.assert_array_equal(known.indices, searched.indices)
+    np.testing.assert_allclose(known.data, searched.data, rtol=0, atol=1e-14)
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), transfer=st.sampled_from(AFFINE),
        apart=st.sampled_from([None, 1e-17, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4]), moved=st.booleans())
