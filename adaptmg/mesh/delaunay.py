@@ -66,13 +66,18 @@ def _inside(elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.nd
     """The triangles inside the boundary, their neighbours, and which edges are there."""
     begins, ends = (np.roll(elements, -k, axis=1).astype(np.int64) for k in (1, 2))
     keys, edges = np.stack([begins * n_nodes + ends, ends * n_nodes + begins]), tails * n_nodes + heads
-    along, against = np.isin(keys, edges)
-    found = np.isin(edges, keys[0])
+    order = np.argsort(edges)
+    row = order[np.minimum(np.searchsorted(edges, keys, sorter=order), len(edges) - 1)]
+    along, against = edges[row] == keys
+    found = np.zeros(len(edges), dtype=bool)
+    found[row[0, along]] = True
     across = np.where(along | against, -1, across)
     e, k = np.nonzero(across >= 0)
     graph = sparse.coo_array((np.ones(len(e), dtype=bool), (e, across[e, k])), shape=(len(elements),) * 2)
-    part = connected_components(graph, directed=False)[1]
-    inside = np.isin(part, part[along.any(axis=1)])
+    n_parts, part = connected_components(graph, directed=False)
+    inside = np.zeros(n_parts, dtype=bool)
+    inside[part[along.any(axis=1)]] = True
+    inside = inside[part]
     number = np.append(np.cumsum(inside) - 1, -1).astype(np.int32)
     return elements[inside], number[across[inside]], found
 
