@@ -99,8 +99,7 @@ class Hierarchy:
         return cls((Level(discrete),), origin="one level")
 
     @classmethod
-    def uniform(cls, problem: ContactProblem, divisions: Sequence[Divisions | Mapping[str, Divisions]],
-                diagonal: str = "right") -> Hierarchy:
+    def uniform(cls, problem: ContactProblem, divisions: Sequence[Divisions | Mapping[str, Divisions]]) -> Hierarchy:
         """Return structured grids of a rectangle or box.
 
         ValueError for what :func:`adaptmg.mesh.structured` refuses.
@@ -112,8 +111,6 @@ class Hierarchy:
         divisions : sequence of int, tuple of int or mapping
             Cells along the sides, coarse to fine; nested where each divides the next. Of several bodies also body
             name -> cells. Cells more than three times as long as wide take many cycles (a warning).
-        diagonal : {"right", "left", "alternating"}
-            How squares are cut (2D).
         """
         begin = clock()
         from adaptmg.mesh.structured import lattices, warn_of_stretched
@@ -122,7 +119,7 @@ class Hierarchy:
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))
         domain = cast("Rectangle | Box | Assembly", problem.domain)
         warn_of_stretched(domain, divisions[-1])
-        return cls._build(problem, lambda: [lattices(domain, n, diagonal) for n in divisions], None,
+        return cls._build(problem, lambda: [lattices(domain, n) for n in divisions], None,
                           f"uniform {', '.join(map(_label, divisions))}", begin)
 
     @classmethod

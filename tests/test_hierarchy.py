@@ -42,7 +42,7 @@ def affine(points):
 
 @pytest.mark.parametrize("make", [
     lambda p: am.Hierarchy.uniform(p, divisions=(2, 4, 8)),
-    lambda p: am.Hierarchy.uniform(p, divisions=(3, 5, 8), diagonal="alternating"),
+    lambda p: am.Hierarchy.uniform(p, divisions=(3, 5, 8)),
     lambda p: am.Hierarchy.graded(p, sizes=(20e-3, 10e-3), contact_ratio=3),
     lambda p: am.Hierarchy.from_meshes(p, refine_near(structured(p.domain, 4), "bottom", levels=2)),
     lambda p: am.Hierarchy.from_meshes(p, [am.mesh.graded(p.domain, s, "bottom").source for s in (20e-3, 9e-3)])])

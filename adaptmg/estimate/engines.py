@@ -134,7 +134,7 @@ class Bisect:
         # a side of a body has three nodes at least
         cells = {name: tuple(int(n) for n in np.maximum(np.ceil((part.upper - part.lower) / size * (1 - 1e-9)), 2))
                  for name, part in parts.items()}
-        return lattices(domain, cells if isinstance(domain, Assembly) else cells[""], "right")
+        return lattices(domain, cells if isinstance(domain, Assembly) else cells[""])
 
     def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: np.ndarray,
                max_nodes: int | None = None) -> MeshArrays:

@@ -1,7 +1,7 @@
 r"""structured: regular triangulations of rectangles and boxes, also several, nested when the divisions are multiples.
 
 Node :math:`(i_1, \dots)` lies at exactly lower :math:`+ (i_k / n_k)` (upper - lower), x running fastest, so that the
-nodes of nested grids coincide to the last bit. In 3D each cell is cut into the six Kuhn tetrahedra: one for each
+nodes of nested grids coincide to the last bit. Each cell is cut into two triangles or six tetrahedra, one for each
 permutation :math:`\pi` of the axes, :math:`x_0, x_0 + e_{\pi(1)}, x_0 + e_{\pi(1)} + e_{\pi(2)}, \dots`
 (H. Freudenthal, Annals of Mathematics 43, 1942, doi:10.2307/1968813); halving the cells gives a nested refinement.
 
@@ -35,8 +35,7 @@ Value = TypeVar("Value")
 _BYTES_PER_NODE = {2: 600, 3: 2000}
 
 
-def structured(domain: Domain, divisions: Divisions | Mapping[str, Divisions],
-               diagonal: str = "right") -> MeshArrays:
+def structured(domain: Domain, divisions: Divisions | Mapping[str, Divisions]) -> MeshArrays:
     """Triangulate a rectangle or box by a lattice, or each body of an assembly by a separate one.
 
     Parameters
@@ -45,21 +44,18 @@ def structured(domain: Domain, divisions: Divisions | Mapping[str, Divisions],
         What to mesh.
     divisions : int or sequence of int; of an assembly also a mapping of str to these
         Cells along every side, or along x, y (, z); 4 gives 5 x 5 nodes. A mapping names each body.
-    diagonal : {"right", "left", "alternating"}
-        Diagonals of the cells in 2D: from lower left to upper right, from lower right to upper left, or in turns like
-        the squares of a chessboard (lower left cell "right"). In 3D only "right".
 
     Returns
     -------
     MeshArrays
-        Its source is built when it is first read; nested in the mesh of n times the divisions (alternating: n = 2, 4,
-        8, ...). The bodies of an assembly share no nodes, see :func:`adaptmg.mesh.merged`.
+        Nested in the mesh of n times the divisions; in 2D the diagonals of the cells run from lower left to upper
+        right. The bodies of an assembly share no nodes, see :func:`adaptmg.mesh.merged`.
 
     Raises
     ------
     TypeError, ValueError
         On another domain, divisions below 1, more nodes than the main memory holds or can be
-        numbered (3D: 2 million), a body left out, or an unknown diagonal.
+        numbered (3D: 2 million), or a body left out.
 
     Examples
     --------
@@ -67,13 +63,12 @@ def structured(domain: Domain, divisions: Divisions | Mapping[str, Divisions],
     25
     """
     warn_of_stretched(domain, divisions)
-    return lattices(domain, divisions, diagonal)
+    return lattices(domain, divisions)
 
 
-def lattices(domain: Domain, divisions: Divisions | Mapping[str, Divisions], diagonal: str) -> MeshArrays:
+def lattices(domain: Domain, divisions: Divisions | Mapping[str, Divisions]) -> MeshArrays:
     """Return what :func:`structured` does, without a warning."""
-    checks.choice("diagonal", diagonal, ("right", "left", "alternating"))
-    meshes = {body: _lattice(part, counts, diagonal) for body, (part, counts) in _parts(domain, divisions).items()}
+    meshes = {body: _lattice(part, counts) for body, (part, counts) in _parts(domain, divisions).items()}
     return merged(meshes) if isinstance(domain, Assembly) else meshes[""]
 
 
@@ -109,15 +104,13 @@ def warn_of_stretched(domain: Domain, divisions: Divisions | Mapping[str, Divisi
                       f"many cycles and makes elements inaccurate; divisions {square} make them about square")
 
 
-def _lattice(domain: Rectangle | Box, counts: tuple[int, ...], diagonal: str) -> MeshArrays:
+def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
     """See :func:`structured`; one body."""
     dim = domain.dim
-    if dim == 3 and diagonal != "right":
-        raise ValueError(f"diagonal must be 'right' in 3D, got {diagonal!r}")
     sides = [lower + np.arange(n + 1) / n * (upper - lower)
              for lower, upper, n in zip(domain.lower, domain.upper, counts, strict=True)]
     cells = _cells(counts, np.arange(counts[-1]))
-    elements = _triangles(cells, counts, diagonal) if dim == 2 else _kuhn(cells, counts)
+    elements = _simplices(cells, counts)
     facets, labels = _boundary(domain.boundaries, counts)
     points = np.empty((math.prod(n + 1 for n in counts), dim))
     for k, side in enumerate(sides):
@@ -125,8 +118,7 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...], diagonal: str) ->
         points.reshape(*(n + 1 for n in counts[::-1]), dim)[..., k] = side.reshape(-1, *[1] * k)
     for array in (points, elements):
         array.flags.writeable = False
-    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries),
-                                 (counts,) if diagonal == "right" else ())
+    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries), (counts,))
 
 
 def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
@@ -176,8 +168,7 @@ def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray
         axis, end = BOX_SIDES[name]
         axis = min(axis, dim - 1)
         cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
-        elements = _triangles(cells, counts, "right") if dim == 2 else _kuhn(cells, counts)
-        every = element_facets(elements).reshape(-1, dim)
+        every = element_facets(_simplices(cells, counts)).reshape(-1, dim)
         here = every[(every // strides[axis] % (counts[axis] + 1) == end * counts[axis]).all(axis=1)]
         facets.append(here[np.lexsort(np.sort(here, axis=1).T[::-1])])
     return np.concatenate(facets), np.repeat(np.arange(len(facets)), [len(here) for here in facets])
@@ -198,29 +189,15 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     return counts
 
 
-def _triangles(cells: np.ndarray, counts: tuple[int, ...], diagonal: str) -> np.ndarray:
-    """Two triangles a cell, given by its lower left node, one after the other."""
-    above = int(_strides(counts)[1])
-    right = np.array([0, 1, above + 1, 0, above + 1, above], dtype=np.int32)
-    left = np.array([0, 1, above, 1, above + 1, above], dtype=np.int32)
-    offsets = left if diagonal == "left" else right
-    if diagonal == "alternating":
-        even = (cells // above + cells % above) % 2 == 0
-        offsets = np.where(even[:, None], right, left)
-    result = np.empty((2 * len(cells), 3), dtype=np.int32)
-    np.add(cells[:, None], offsets, out=result.reshape(-1, 6))
-    return result
-
-
-def _kuhn(cells: np.ndarray, counts: tuple[int, ...]) -> np.ndarray:
-    """Six tetrahedra a cell, given by its lowest node, positively oriented."""
-    stride, tetrahedra = _strides(counts), []
-    for path in permutations(range(3)):
-        offsets = np.cumsum(np.r_[0, stride[list(path)]])
-        odd = np.linalg.det(np.eye(3)[list(path)]) < 0
-        tetrahedra.append(offsets[[0, 1, 3, 2]] if odd else offsets)
-    result = np.empty((6 * len(cells), 4), dtype=np.int32)
-    np.add(cells[:, None, None], np.array(tetrahedra, dtype=np.int32), out=result.reshape(-1, 6, 4))
+def _simplices(cells: np.ndarray, counts: tuple[int, ...]) -> np.ndarray:
+    """Two triangles or six tetrahedra a cell, given by its lowest node, positively oriented."""
+    dim, strides, simplices = len(counts), _strides(counts), []
+    for path in permutations(range(dim)):
+        offsets = np.cumsum(np.r_[0, strides[list(path)]])
+        odd = np.linalg.det(np.eye(dim)[list(path)]) < 0
+        simplices.append(np.r_[offsets[:-2], offsets[:-3:-1]] if odd else offsets)
+    result = np.empty((len(simplices) * len(cells), dim + 1), dtype=np.int32)
+    np.add(cells[:, None, None], np.array(simplices, dtype=np.int32), out=result.reshape(-1, len(simplices), dim + 1))
     return result
 
 
