@@ -42,7 +42,7 @@ class Level:
         The matrix of a coarse space without a discrete problem.
     surface_prolongation : csr_array or None
         With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for corrections that need
-        it (:mod:`adaptmg.transfer.contact_rows`).
+        it (:mod:`adaptmg.transfer.contact`).
 
     Examples
     --------
@@ -207,7 +207,7 @@ def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
 
 def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -> Level:
     """Return the level ``above`` with its prolongation from ``below``, whatever was below it before."""
-    from adaptmg.transfer.contact_rows import between_levels
+    from adaptmg.transfer.contact import between_levels
 
     rows = between_levels(transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows)
     return above.posing(prolongation=indices_frozen(rows.prolongation),

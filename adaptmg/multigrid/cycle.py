@@ -33,7 +33,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.factorisation import Condensed
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact
-from adaptmg.transfer.constraints import (
+from adaptmg.transfer.contact import (
     Supports,
     injected_gap,
     injected_limit,

@@ -1,7 +1,7 @@
 """Transfers between meshes, nested or not: point location, prolongations, transport of contact data."""
 
 from adaptmg.geometry.location import Location
-from adaptmg.transfer.constraints import (
+from adaptmg.transfer.contact import (
     Supports,
     injected_gap,
     injected_limit,
@@ -11,8 +11,9 @@ from adaptmg.transfer.constraints import (
     smallest_gap,
     summed_limit,
     supports,
+    surface_interpolation,
+    with_contact_rows,
 )
-from adaptmg.transfer.contact_rows import surface_interpolation, with_contact_rows
 from adaptmg.transfer.galerkin import aggregated_prolongations, galerkin_product, without_fixed
 from adaptmg.transfer.interpolation import CLIP, Interpolation, PointLocator, Transfer, mesh_ratio, size_ratio
 from adaptmg.transfer.projections import L2, LumpedL2, PseudoL2, QuasiInterpolation

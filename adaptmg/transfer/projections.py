@@ -29,7 +29,7 @@ from adaptmg.geometry.quadrature import simplex_rule
 from adaptmg.geometry.search import STACK, bounding_box, overlapping, padded
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.transfer import interpolation
-from adaptmg.transfer.contact_rows import with_contact_rows
+from adaptmg.transfer.contact import with_contact_rows
 
 Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
 

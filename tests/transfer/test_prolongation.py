@@ -20,7 +20,7 @@ from adaptmg.mesh import MeshArrays, bisect, graded
 from adaptmg.mesh import structured as structured_mesh
 from adaptmg.multigrid.split_matrix import is_galerkin
 from adaptmg.transfer import galerkin_product, surface_interpolation, with_contact_rows
-from adaptmg.transfer.contact_rows import between_levels
+from adaptmg.transfer.contact import between_levels
 from adaptmg.transfer.galerkin import seen
 from adaptmg.transfer.projections import mass_matrix, mixed_mass
 

@@ -8,7 +8,7 @@ from refused import refused
 from scipy import sparse
 
 from adaptmg.transfer import largest_gap, minmod_slip, smallest_gap, summed_limit, supports
-from adaptmg.transfer.constraints import injected_gap, injected_limit, injected_slip
+from adaptmg.transfer.contact import injected_gap, injected_limit, injected_slip
 
 # fine nodes 0, 2, 4 lie on the coarse nodes 0, 1, 2; 1 and 3 halfway; the coarse node 3 has no fine node
 P_LINE = sparse.csr_array([[1, 0, 0, 0], [0.5, 0.5, 0, 0], [0, 1, 0, 0], [0, 0.5, 0.5, 0], [0, 0, 1, 0]])
