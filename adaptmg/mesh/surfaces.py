@@ -23,8 +23,8 @@ from adaptmg.mesh.soundness import least_angle
 
 # of solids of unit size: by how much points may miss the surface through them; nodes of a draft theirs
 _EXACT, _NEAR = 1e-9, 1e-6
-# nodes end this near to their surfaces; steps at most; squared angle between normals below which two surfaces are one
-_ON, _STEPS, _SAME = 1e-13, 60, 1e-16
+# nodes end this near to their surfaces; steps at most; angle between normals below which two surfaces are one
+_ON, _STEPS, _SAME = 1e-13, 60, 1e-8
 #: smallest angle that a refined element must have where nodes moved, degrees
 _FLAT = 10.0
 
@@ -66,16 +66,15 @@ def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
         return None
     centre = points.mean(axis=0)
     own = points - centre
-    found = next((s for kind in (_plane, _sphere, _cylinder, _turned) if (s := kind(own, normals)) is not None), None)
-    return None if found is None else replace(found, origin=found.origin + centre)
+    for kind in (_plane, _sphere, _cylinder, _turned):
+        surface = kind(own, normals)
+        if surface is not None and np.abs(surface.gaps(own)[0]).max() <= _EXACT:
+            return replace(surface, origin=surface.origin + centre)
+    return None
 
 
-def _checked(surface: Revolved, points: np.ndarray) -> Revolved | None:
-    return surface if np.abs(surface.gaps(points)[0]).max() <= _EXACT else None
-
-
-def _plane(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
-    return _checked(Revolved(np.zeros(3), normals[0], np.array([0.0, 1.0]), 0.0, True), points)
+def _plane(_points: np.ndarray, normals: np.ndarray) -> Revolved:
+    return Revolved(np.zeros(3), normals[0], np.array([0.0, 1.0]), 0.0, True)
 
 
 def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
@@ -85,9 +84,9 @@ def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
     return (points - radius * normals).mean(axis=0), radius
 
 
-def _sphere(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
+def _sphere(points: np.ndarray, normals: np.ndarray) -> Revolved:
     centre, radius = _round(points, normals)
-    return _checked(Revolved(centre, np.array([0.0, 0.0, 1.0]), np.zeros(2), abs(radius), False), points)
+    return Revolved(centre, np.array([0.0, 0.0, 1.0]), np.zeros(2), abs(radius), False)
 
 
 def _cylinder(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
@@ -95,7 +94,7 @@ def _cylinder(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     if np.abs(normals @ axis).max() > _EXACT:
         return None
     centre, radius = _round(points - np.outer(points @ axis, axis), normals)
-    return _checked(Revolved(centre, axis, np.array([1.0, 0.0]), abs(radius), True), points)
+    return Revolved(centre, axis, np.array([1.0, 0.0]), abs(radius), True)
 
 
 def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
@@ -112,9 +111,9 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     plane = np.column_stack([r, z])
     slopes = np.column_stack([(normals * away).sum(axis=1) / np.where(r > 0, r, 1.0), normals @ axis])
     if np.ptp(slopes, axis=0).max() <= _EXACT:
-        return _checked(Revolved(origin, axis, slopes[0], float((plane @ slopes[0]).mean()), True), points)
+        return Revolved(origin, axis, slopes[0], float((plane @ slopes[0]).mean()), True)
     centre, radius = _round(plane, slopes)
-    return _checked(Revolved(origin, axis, centre, abs(radius), False), points)
+    return Revolved(origin, axis, centre, abs(radius), False)
 
 
 def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:
@@ -126,16 +125,14 @@ def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:
 
 def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> list[Revolved]:
     """Return the surface of each boundary of a mesh (called by the numbers of faces) that all its nodes lie on."""
-    found = []
+    result = []
     for label, face in enumerate(mesh.boundaries):
         nodes = mesh.points[np.unique(mesh.facets[mesh.facet_labels == label])]
-        for surface in candidates[int(face)]:
-            if np.abs(surface.gaps(nodes)[0]).max(initial=0.0) <= _NEAR:
-                found.append(surface)
-                break
-        else:
+        fitting = [s for s in candidates[int(face)] if np.abs(s.gaps(nodes)[0]).max(initial=0.0) <= _NEAR]
+        if not fitting:
             raise Misplaced(f"nodes of face {face} do not lie on its surface")
-    return found
+        result.append(fitting[0])
+    return result
 
 
 def onto_surfaces(surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int) -> MeshArrays:
@@ -146,27 +143,19 @@ def onto_surfaces(surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int) ->
         return mesh
     pairs = np.unique(mesh.facets[row, corner].astype(np.int64) * len(surfaces) + mesh.facet_labels[row])
     nodes, first, count = np.unique(pairs // len(surfaces), return_index=True, return_counts=True)
-    labels = (pairs % len(surfaces))[np.stack([first, first + count - 1])]
+    labels = (pairs % len(surfaces))[np.stack([first, first + count - 1], axis=1)]
     places = mesh.points[nodes]
     rest = np.arange(len(nodes))
     for _ in range(_STEPS):
-        gaps, gradients = np.empty((2, len(rest))), np.empty((2, len(rest), 3))
-        for side in (0, 1):
-            for label in np.unique(labels[side, rest]):
-                mine = labels[side, rest] == label
-                gaps[side, mine], gradients[side, mine] = surfaces[label].gaps(places[rest[mine]])
-        far = np.abs(gaps).max(axis=0) > _ON
+        gaps, gradients = np.empty((len(rest), 2)), np.empty((len(rest), 2, 3))
+        for label in np.unique(labels[rest]):
+            at = labels[rest] == label
+            gaps[at], gradients[at] = surfaces[label].gaps(places[rest[np.nonzero(at)[0]]])
+        far = np.abs(gaps).max(axis=1) > _ON
         if not far.any():
             break
-        rest, gaps, gradients = rest[far], gaps[:, far], gradients[:, far]
-        # the pseudoinverse by the sum and the difference of both gradients
-        steps = np.zeros((len(rest), 3))
-        for sign in (1.0, -1.0):
-            direction = gradients[0] + sign * gradients[1]
-            square = np.square(direction).sum(axis=1)
-            apart = square > _SAME
-            steps[apart] += ((gaps[0] + sign * gaps[1]) / np.where(apart, square, 1.0))[apart, None] * direction[apart]
-        places[rest] -= steps
+        rest = rest[far]
+        places[rest] -= np.einsum("nij,nj->ni", np.linalg.pinv(gradients[far], rcond=_SAME), gaps[far])
     else:
         raise Misplaced(f"{len(rest)} nodes do not reach the surfaces of their faces")
     points = mesh.points.copy()
