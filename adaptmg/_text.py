@@ -8,7 +8,7 @@ import sys
 import warnings
 from dataclasses import MISSING, fields
 from inspect import isfunction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import pandas
@@ -55,7 +55,7 @@ def html_table(table: pandas.DataFrame) -> str:
         return table.to_html(index=False, max_rows=20, border=0, float_format="{:.4g}".format)
 
 
-def html_fields(self: Any) -> str:
+def html_fields(self: object) -> str:
     """Return the ``_repr_html_`` of a dataclass: its name, and a row for each value, of a tuple for each part."""
     import pandas
 
@@ -75,7 +75,7 @@ def shortened(text: str) -> str:
     return text if len(text) <= MOST else f"{text[:MOST - 3]}..."
 
 
-def brief(self: Any) -> str:
+def brief(self: object) -> str:
     """Return the ``__repr__`` of a dataclass without defaults; values on demand are not made. Arrays are shown by their
     shapes, and of what is long less is shown."""
     values = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
@@ -90,7 +90,7 @@ def brief(self: Any) -> str:
     return shortened(f"{type(self).__name__}({inside})")
 
 
-def _value(value: Any, most: int) -> str:
+def _value(value: object, most: int) -> str:
     name, shape = type(value).__name__, getattr(value, "shape", ())
     if isinstance(shape, tuple) and shape:
         if len(shape) > 1 or shape[0] > 12:

@@ -15,11 +15,14 @@ from contextlib import contextmanager
 from functools import lru_cache
 from itertools import pairwise
 from threading import RLock
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptmg import _checks as checks
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 #: numbers read from which a kernel is cut into this many parts
 LARGE, PARTS = 1_000_000, 16
@@ -31,12 +34,12 @@ class _Threads:
     def __init__(self, number: int = 1) -> None:
         self.number, self.pool = number, ThreadPoolExecutor(number - 1, "adaptmg") if number > 1 else None
 
-    def map(self, kernel: Callable[..., Any], ranges: Sequence[tuple[int, int]], arguments: Sequence[object]) -> list:
+    def map(self, kernel: Callable, ranges: Sequence[tuple[int, int]], arguments: Sequence[object]) -> list:
         """Call a kernel for all ranges, in all threads at the same time, this one included; those that did not begin
         are not awaited."""
         if self.pool is None:
             return [kernel(*each, *arguments) for each in ranges]
-        results: list[Any] = [None] * len(ranges)
+        results: list = [None] * len(ranges)
         left = iter(range(len(ranges)))
 
         def work() -> None:
@@ -83,7 +86,7 @@ def several() -> bool:
     return _THREADS.number > 1
 
 
-def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, joined: bool = True) -> list[Any]:
+def in_parts(kernel: Callable, n: int, size: int, *arguments: object, joined: bool = True) -> list:
     """Return what ``kernel(first, last, *arguments)`` returns for parts of n rows: one unless they read LARGE numbers
     (``size``) together, else one a thread, or PARTS if they are not ``joined``, as where a row depends on others."""
     if size < LARGE:
@@ -92,17 +95,17 @@ def in_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object, 
     return in_colours([ranges], kernel, *arguments, joined=joined)
 
 
-def sum_of_parts(kernel: Callable[..., Any], n: int, size: int, *arguments: object) -> Any:
+def sum_of_parts(kernel: Callable, n: int, size: int, *arguments: object) -> float | np.ndarray:
     """Return the sum of what ``kernel(first, last, *arguments)`` returns for parts independent of the threads."""
     parts = in_parts(kernel, n, size, *arguments, joined=False)
     return parts[0] if len(parts) == 1 else np.sum(parts, axis=0)
 
 
-def in_colours(colours: Sequence[Sequence[tuple[int, int]]], kernel: Callable[..., Any], *arguments: object,
-               joined: bool = False) -> list[Any]:
+def in_colours(colours: Sequence[Sequence[tuple[int, int]]], kernel: Callable, *arguments: object,
+               joined: bool = False) -> list:
     """Return what ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the other. Ranges of a
     colour may be ``joined``, those of each thread to one, if they follow one another."""
-    results: list[Any] = []
+    results: list = []
     for ranges in colours:
         results += _THREADS.map(kernel, _joined(ranges, _THREADS.number) if joined else ranges, arguments)
     return results
@@ -164,7 +167,7 @@ class _Blas:
 
 
 @lru_cache(maxsize=1)
-def _libraries(_modules: int) -> Any:
+def _libraries(_modules: int) -> ThreadpoolController:
     """The libraries of BLAS; looking for them takes some ms, when modules were imported since."""
     from threadpoolctl import ThreadpoolController
 

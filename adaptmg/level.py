@@ -6,7 +6,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -192,9 +192,9 @@ def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
 
 def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
     """Return whether the same nodes carry contact and follow the same others: what prolongations depend on."""
-    def parts(problem: DiscreteProblem) -> list[Any]:
+    def parts(problem: DiscreteProblem) -> list:
         contact, coupling = problem.contact, problem.coupling
-        result: list[Any] = [contact.names, contact.masters, contact.nodes, contact.boundary]
+        result: list = [contact.names, contact.masters, contact.nodes, contact.boundary]
         if coupling is not None:
             weights = coupling.weights
             result += [weights.indptr, weights.indices, weights.data, problem.fixed]
