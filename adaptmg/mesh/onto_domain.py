@@ -60,7 +60,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     n_old = checks.integer("n_old", n_old, 0, mesh.n_nodes)
     if mesh.refinement is None:
         raise ValueError("mesh has no history: onto_domain moves the nodes that adaptmg.mesh.bisect made")
-    names = {name: found for name, found in curved_boundaries(domain).items() if name in mesh.boundaries}
+    names = {name: found for name, found in _curved_boundaries(domain).items() if name in mesh.boundaries}
     sides = [(*found, *_new_nodes(mesh, name, n_old)) for name, found in names.items()]
     if not any(len(nodes) for _, _, nodes, _ in sides):
         return mesh
@@ -114,7 +114,7 @@ def _moved(mesh: MeshArrays, sides: list, depth: np.ndarray, stays: np.ndarray, 
         for domain, name, nodes, normals in sides:
             mine = (depth[nodes] == level) & ~stays[nodes]
             a, b = (points[parents[nodes[mine], k]] for k in (0, 1))
-            places = on_surface(domain, name, a, b, normals[mine])
+            places = _on_surface(domain, name, a, b, normals[mine])
             # a node of two boundaries is moved by the curved one of them
             goes = np.linalg.norm(places - 0.5 * (a + b), axis=1) > 1e-14 * np.linalg.norm(b - a, axis=1)
             points[nodes[mine][goes]] = places[goes]
@@ -131,11 +131,11 @@ _ON_AXIS = 1e-12
 _PLANE = 1e-9
 
 
-def curved_boundaries(domain: Domain | None) -> dict[str, tuple[Domain, str]]:
-    """Return the boundaries that :func:`on_surface` may know a curve of: their part of the domain, and its own name."""
+def _curved_boundaries(domain: Domain | None) -> dict[str, tuple[Domain, str]]:
+    """The boundaries that may be curved: their part of the domain, and its own name."""
     if isinstance(domain, Assembly):
         return {f"{body}.{name}": found for body, part in domain.parts.items()
-                for name, found in curved_boundaries(part).items()}
+                for name, found in _curved_boundaries(part).items()}
     if domain is None:
         return {}
     domain = in_edges(domain)
@@ -158,14 +158,14 @@ def _curved(domain: Domain) -> tuple[str, ...]:
     return ()
 
 
-def on_surface(domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return the places on a boundary for the midpoints of some of its edges."""
+def _on_surface(domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Places on a boundary for the midpoints of some of its edges."""
     middle = 0.5 * (a + b)
     if isinstance(domain, Outline):
         return _on_outline(domain, name, a, b, normals)
     if isinstance(domain, Moved):
         turn, offset = domain.rotation, np.array(domain.offset)
-        own = on_surface(domain.solid, name, (a - offset) @ turn, (b - offset) @ turn, normals @ turn)
+        own = _on_surface(domain.solid, name, (a - offset) @ turn, (b - offset) @ turn, normals @ turn)
         return own @ turn.T + offset
     if isinstance(domain, Ball):
         centre = np.array(domain.centre)
