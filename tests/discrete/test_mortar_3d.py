@@ -157,23 +157,6 @@ def test_closed_surfaces_are_covered_on_every_side():
         np.testing.assert_allclose(interface.gaps, 0.05 if sign > 0 else -0.055, atol=0.02)
 
 
-@pytest.mark.parametrize("fine", [10, 400])
-def test_the_nearest_of_several_masters_counts(fine):
-    # a wing in front of the left part of the master, something behind both, and something that faces away before them
-    slave = square(30, 1, up=DOWN, z=0.1)
-    masters = (square(60, 2, up=UP), square(fine, 3, up=UP, high=(0.37, 1), z=0.06), square(20, 4, up=UP, z=-0.3),
-               square(20, 5, up=DOWN, z=0.08))
-    points, slave, master = joined(slave, *masters)
-    interface = couple(points, slave, master)
-    assert interface.weights.sum() == pytest.approx(1, rel=1e-12)
-    assert interface.weights @ interface.gaps == pytest.approx(0.37 * 0.04 + 0.63 * 0.1, rel=1e-12)
-    first = np.cumsum([slave.max() + 1, *(len(points) for points, _ in masters)])
-    used = np.unique(interface.coupling.nonzero()[1])
-    assert used.max() < first[2]
-    np.testing.assert_allclose(total(interface)[first[1]:first[2]], lumped(points, master)[first[1]:first[2]],
-                               atol=1e-14)
-
-
 def test_any_soup_of_masters_is_sorted_by_sight():
     """Random triangles over one slave triangle: area and mean gap are those of the nearest, sampled."""
     rng = np.random.default_rng(3)

@@ -64,22 +64,6 @@ class TestPatch:
         force = np.pi * ((1 + inner)**2 - inner**2) * P
         assert result.resultant("lower.top").force[1] == pytest.approx(-force, rel=1e-11)
 
-    @PAIRS
-    def test_turned(self, pair):
-        turn, flat, materials = (0.3, -0.5, 1.1), bodies.stacked([(3, 1, 1), (2, 2, 1)]), MATERIALS[3]
-        Q, mesh = bodies.rotation(turn), bodies.turned(flat, turn)
-        exact = bodies.uniaxial(flat, materials) @ Q.T
-        problem = replace(bodies.pressed(mesh, [pair], materials), supports=(),
-                          loads=(am.Pressure("upper.top", P), am.Pressure("lower.bottom", P)))
-        # three corners of each body hold it
-        held = [bodies.far_node(flat, body, (a, b, up)) for body, up in (("lower", -1), ("upper", 1))
-                for a, b in ((-1, -1.1), (1, -1.1), (-1.1, 1))]
-        discrete = bodies.held_at_points(problem, mesh, exact, [(node, d) for node in held[:-1] for d in range(3)])
-        result = am.solve(discrete, EXACT)
-        bodies.assert_state(result, exact)
-        normal = Q[:, -1] * (-1 if pair == UPPER_ON_LOWER else 1)
-        np.testing.assert_allclose(result.contact.normal, np.tile(normal, (len(result.contact), 1)), atol=1e-12)
-
 
 class TestCorner:
     @pytest.mark.parametrize("order", [("floor", "wall", "cap"), ("wall", "floor", "cap"), ("cap", "wall", "floor")])

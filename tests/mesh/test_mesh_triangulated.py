@@ -9,10 +9,8 @@ import pytest
 import adaptmg as am
 from adaptmg._numba import kernel
 from adaptmg.geometry import predicates
-from adaptmg.mesh import check_mesh, graded, grading, quality, sized, triangulate
-from adaptmg.mesh.delaunay import Untriangulated
+from adaptmg.mesh import check_mesh, graded, grading, quality, sized
 from adaptmg.mesh.sizes import equilateral_sizes
-from adaptmg.mesh.triangulate import triangulated
 
 SQUARE = am.Rectangle(width=1, height=1)
 
@@ -69,22 +67,6 @@ def test_meshes_are_sound_and_delaunay(domain, size):
         assert (mesh.points == vertex).all(axis=1).sum() == 1
     if domain in (SQUARE, DOMAINS["angle"], DOMAINS["two holes"]):
         assert quality(mesh).min_angle > 28
-
-
-@pytest.mark.parametrize("domain", [SQUARE, DOMAINS["two holes"]], ids=["square", "two holes"])
-def test_sizes_follow_the_field(domain):
-    low = domain.lower
-
-    def field(x):
-        return np.minimum(0.01 + 0.25 * np.linalg.norm(x - low, axis=1), 0.2)
-
-    mesh = triangulated(grading.in_edges(domain), field)
-    relative = equilateral_sizes(mesh.points, mesh.elements) / field(mesh.points)[mesh.elements].mean(axis=1)
-    assert 0.85 < np.median(relative) < 1.1 and relative.max() < 1.6 and np.quantile(relative, 0.01) > 0.55
-    facets = equilateral_sizes(mesh.points, mesh.facets) / field(mesh.points)[mesh.facets].mean(axis=1)
-    assert facets.min() > 0.6 and facets.max() < 1.4
-    expected = 1.15 * (mesh.volumes / field(mesh.points[mesh.elements].mean(axis=1))**2).sum()
-    assert 0.8 < mesh.n_nodes / expected < 1.5
 
 
 @pytest.mark.parametrize("domain", SLANTED.values(), ids=SLANTED)
@@ -196,13 +178,3 @@ def test_too_many_nodes_are_refused_before_they_are_made():
     for size in (lambda x: np.full(len(x), 1e-5), lambda x: 1e-7 + 0.02 * np.abs(x[:, 0] - 0.5)):
         with pytest.raises(ValueError, match=r"the sizes ask for about .* nodes \(at most 5e\+06\)"):
             sized(SQUARE, size, 0.1)
-
-
-def test_netgen_meshes_what_triangulation_does_not(monkeypatch):
-    asked = []
-    monkeypatch.setattr(triangulate, "_CUTS", 0)
-    monkeypatch.setattr(grading, "plane_mesh", lambda *given: asked.append(given)
-                        or replace(am.mesh.structured(SQUARE, 4), boundaries=tuple("0123")))
-    with pytest.raises(Untriangulated, match="edges of Outline"):
-        triangulated(SQUARE.outline, lambda x: np.full(len(x), 0.5))
-    assert graded(SQUARE, 0.5).n_nodes == 25 and len(asked) == 1

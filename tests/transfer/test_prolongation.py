@@ -435,14 +435,6 @@ def test_the_product_of_two_steps_is_that_of_their_product():
     assert not np.allclose(galerkin_product(middle, P1).toarray(), both, rtol=1e-3)
 
 
-def test_user_prolongations_too():
-    grids = hierarchy(10)
-    made = am.Hierarchy.from_prolongations(grids.finest.discrete, [grids[1].prolongation, grids[2].prolongation])
-    result, reference = am.solve(made, am.Multigrid()), am.solve(grids, am.ActiveSet()).displacement
-    assert result.cycles <= 25
-    assert result.displacement == pytest.approx(reference, abs=1e-6 * np.abs(reference).max())
-
-
 def test_a_coarsest_mesh_finer_than_the_next_is_solved():
     """Coarse functions that the next level cannot tell apart made the coarsest matrix of the nested start singular."""
     grids = am.Hierarchy.graded(am.cases.dovetail(), sizes=(6e-3, 3.6e-3, 2.2e-3), contact_ratio=4)
