@@ -7,7 +7,7 @@ and :math:`u_n = u\cdot n,\; p = -r_n,\; f_t = r_t`
 
 and :math:`f_t` is opposite to the slip :math:`u_t - u_t^{\mathrm{previous}}` wherever that is not zero.
 Degree of freedom ``dim * node + component``. Between bodies all this is meant in relative coordinates
-(:mod:`adaptmg.discrete.coordinates`): :meth:`DiscreteProblem.coupled` makes them.
+(:mod:`adaptmg.discrete.coordinates`), which :meth:`DiscreteProblem.coupled` makes.
 """
 
 from __future__ import annotations
@@ -125,39 +125,17 @@ class DiscreteProblem(Unknowns):
         result._complete()
         return result
 
-    @classmethod
-    def coupled(cls, *, matrix: sparse.bsr_array, load: np.ndarray, fixed: np.ndarray, law: Law, contact: ContactNodes,
-                weights: sparse.csr_array, fixed_values: np.ndarray | None = None,
-                coordinates: np.ndarray | None = None, near_nullspace: np.ndarray | None = None,
-                name: str = "discrete problem", bodies: Mapping[str, np.ndarray] | None = None) -> DiscreteProblem:
-        """Pose contact of bodies, from their uncoupled matrix and load: in relative coordinates, with ``coupling``.
+    def coupled(self, weights: sparse.sparray | sparse.spmatrix) -> DiscreteProblem:
+        """Pose contact between the bodies of this problem: in relative coordinates, with ``coupling``.
 
-        Parameters as of the class, in displacements, as are those of the Result of :func:`adaptmg.solve`. ``weights``
-        W (n_nodes, n_nodes), sparse, have in the rows of slave nodes the nodes that they face, with row sums 1.
-        ``contact`` are the slave nodes; their gaps and slips are relative. ``near_nullspace`` should hold the
+        ``weights`` W (n_nodes, n_nodes), sparse, have in the rows of slave nodes the nodes that they face, with row
+        sums 1. ``contact`` are the slave nodes; their gaps and slips are relative. ``near_nullspace`` should hold the
         rigid-body modes of every body (one column a body and mode); with ``coordinates`` alone the bodies move
         together in it.
         """
-        checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
-        check_law("law", law)
-        contact.check_name_contact()
-        dim, fixed = contact.dim, checked_mask("fixed", fixed)
-        blocks, n = checked_matrix(matrix, dim), len(fixed)
-        if blocks.shape[0] != n:
-            raise ValueError(f"fixed must be a boolean mask over the {blocks.shape[0]} dofs of the matrix, got {n}")
-        weights = checks.sparse_matrix("weights", weights, (n // dim, n // dim))
-        weights = sparse.csr_array(weights, dtype=np.float64)
+        weights = sparse.csr_array(checks.sparse_matrix("weights", weights, (self.n_nodes,) * 2), dtype=np.float64)
         _check_row_sums(weights)
-        contact.check_nodes(n // dim)
-        check_bounds(law, len(contact))
-        if near_nullspace is not None:
-            near_nullspace = bounded("near_nullspace", near_nullspace, (n, None))
-        elif coordinates is not None:
-            near_nullspace = rigid_body_modes(bounded("coordinates", coordinates, (n // dim, dim), checks.VAST))
-        return cls(**_in_relative_coordinates(weights, {
-            "matrix": blocks, "load": bounded("load", load, (n,)), "fixed": fixed, "law": law, "contact": contact,
-            "fixed_values": fixed_values, "coordinates": coordinates, "near_nullspace": near_nullspace, "name": name,
-            "bodies": bodies}))
+        return self.assembled(weights, **{one.name: self.__dict__[one.name] for one in fields(self)})
 
     def __repr__(self) -> str:
         return shortened(f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} of "

@@ -153,44 +153,36 @@ class TestTransformation:
                                    atol=1e-12 * np.abs(coupling.upward).max() ** 2)
 
 class TestCoupled:
-    def springs(self):
+    def coupled(self, weights=(0.5, 0.5), fixed=(0, 1), **parts):
         """Two chains of three nodes; node 3 (slave) faces nodes 1 and 2."""
         link = np.array([[1.0, -1.0], [-1.0, 1.0]])
         chain = np.zeros((6, 6))
         for i, j in ((0, 1), (1, 2), (3, 4), (4, 5)):
             chain[np.ix_([i, j], [i, j])] += link
-        weights = sparse.csr_array(([0.5, 0.5], ([3, 3], [1, 2])), shape=(6, 6))
-        fixed = np.zeros(12, dtype=bool)
-        fixed[:2] = True
-        return {"matrix": sparse.csr_array(np.kron(chain, np.eye(2))), "load": np.arange(12.0), "fixed": fixed,
-                "law": am.Frictionless(), "weights": weights,
-                "contact": am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("other",))}
+        problem = am.DiscreteProblem(
+            matrix=sparse.csr_array(np.kron(chain, np.eye(2))), load=np.arange(12.0), law=am.Frictionless(),
+            fixed=np.isin(np.arange(12), fixed), **parts,
+            contact=am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("other",)))
+        return problem.coupled(sparse.csr_array((weights, ([3, 3], [1, 2])), shape=(6, 6)))
 
     def test_rigid_motions_are_those_of_displacements(self):
         points = np.array([[0, 0], [0, 1], [1, 1], [0.3, 1], [0, 2], [1, 2.0]])
-        problem = am.DiscreteProblem.coupled(**self.springs(), coordinates=points)
+        problem = self.coupled(coordinates=points)
         turn = np.column_stack([-points[:, 1], points[:, 0]]).ravel()
         fields = np.column_stack([problem.physical(mode).ravel() for mode in problem.near_nullspace.T])
         assert np.linalg.lstsq(fields, turn, rcond=None)[1] == pytest.approx(0, abs=1e-20)
 
     def test_a_slave_may_be_fixed_along_the_surface(self):
-        parts = self.springs()
-        parts["fixed"][6] = True
-        assert not am.DiscreteProblem.coupled(**parts).coupling.physical(np.eye(12))[6, 2:6].any()
-
-    def other_coupling(self):
-        problem = am.DiscreteProblem.coupled(**self.springs())
-        return replace(problem, fixed=np.zeros(12, dtype=bool))
+        assert not self.coupled(fixed=(0, 1, 6)).coupling.physical(np.eye(12))[6, 2:6].any()
 
     test_refused = staticmethod(refused(
-        (lambda: TestCoupled().other_coupling(), r"other fixed dofs: use DiscreteProblem.coupled"),
+        (lambda: replace(TestCoupled().coupled(), fixed=np.zeros(12, dtype=bool)),
+         r"other fixed dofs: use DiscreteProblem.coupled"),
         (lambda: am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("a", "b")),
          "masters must go with names"),
-        (lambda: am.DiscreteProblem.coupled(**TestCoupled().springs() | {"fixed": np.arange(12) == 7}),
-         r"normal part is fixed at contact node 0 \(node 3.*free the component"),
-        *((lambda value=value: am.DiscreteProblem.coupled(**TestCoupled().springs() | {
-            "weights": sparse.csr_array(([value], ([3], [1])), shape=(6, 6))}), message)
-          for value, message in ((0.9, r"sum 1, got 0.9 at node 3"), (np.nan, "weights must be finite"))),
+        (lambda: TestCoupled().coupled(fixed=(7,)), r"normal part is fixed at contact node 0 \(node 3.*free the comp"),
+        (lambda: TestCoupled().coupled((0.5, 0.4)), "sum 1, got 0.9 at node 3"),
+        (lambda: TestCoupled().coupled((0.5, np.nan)), "weights must be finite"),
         *((lambda rows=rows, columns=columns, n=n: Coupling(
             sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)), np.zeros(2 * n, dtype=bool)),
            r"circle.*exchange slave and master")

@@ -40,10 +40,10 @@ def held_at_points(problem, mesh, exact, points, load=0.0):
     for node, component in points:
         fixed[node, component] = True
         values[node, component] = exact[node, component]
-    return am.DiscreteProblem.coupled(
+    return am.DiscreteProblem(
         matrix=parts.matrix, load=parts.load + np.ravel(load), fixed=fixed.ravel(), fixed_values=values.ravel(),
-        law=parts.law, contact=parts.contact, weights=parts.weights, coordinates=mesh.points,
-        near_nullspace=rigid_motions(mesh))
+        law=parts.law, contact=parts.contact, coordinates=mesh.points,
+        near_nullspace=rigid_motions(mesh)).coupled(parts.weights)
 
 
 def far_node(mesh, body, direction):

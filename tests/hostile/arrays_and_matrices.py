@@ -21,10 +21,10 @@ def contact(**changes):
     return am.ContactNodes(**({"nodes": [0, 5], "normals": [[0.0, -1.0], [0.0, -1.0]], "gaps": [0.0, 0.1]} | changes))
 
 
-def discrete(make=am.DiscreteProblem, **changes):
+def discrete(**changes):
     parts = {"matrix": matrix(), "load": np.ones(2 * N), "fixed": np.zeros(2 * N, dtype=bool), "law": am.Coulomb(0.3),
              "contact": contact()}
-    return make(**(parts | changes))
+    return am.DiscreteProblem(**(parts | changes))
 
 
 def weights():
@@ -32,7 +32,8 @@ def weights():
 
 
 def coupled(**changes):
-    return discrete(am.DiscreteProblem.coupled, **({"weights": weights()} | changes))
+    own = changes.pop("weights", None)
+    return discrete(**changes).coupled(weights() if own is None else own)
 
 
 def halved():

@@ -5,7 +5,6 @@ import numpy as np
 from arrays_and_matrices import contact as nodes
 from arrays_and_matrices import discrete, grids
 from hostile_table import Hostile, each, labelled, words
-from scipy import sparse
 
 import adaptmg as am
 from adaptmg.mesh import graded, sized, structured
@@ -95,7 +94,5 @@ INPUTS = (
             contact=[am.Contact(name, am.Plane((0, 0), (0, 1))) for name in ("bottom", "contact")]),
         "a master": lambda: _named_contact(contact=am.ContactPair("bottom", "contact")),
         "contact nodes": lambda: discrete(contact=nodes(names=("a", "contact"), boundary=[0, 1])),
-        "a master of nodes": lambda: discrete(
-            make=am.DiscreteProblem.coupled, weights=sparse.csr_array(([0.5], ([0], [1])), shape=(12, 12)),
-            contact=nodes(names=("a",), masters=("contact",)))}.items()),
+        "a master of nodes": lambda: discrete(contact=nodes(names=("a",), masters=("contact",)))}.items()),
 )
