@@ -234,10 +234,10 @@ def _rows(mesh: MeshArrays) -> np.ndarray:
 
 def _sides(mesh: MeshArrays) -> np.ndarray:
     """The boundary facet opposite each corner of each element, -1 where there is none."""
-    on = np.zeros(mesh.n_nodes, dtype=bool)
-    on[mesh.facets] = True
+    on = np.zeros(mesh.n_nodes, dtype=np.int8)
+    on[mesh.facets] = 1
     result = np.full(mesh.elements.shape, -1, dtype=np.int32)
-    near = np.flatnonzero(on[mesh.elements].sum(axis=1) >= mesh.dim)
+    near = np.flatnonzero(sum(on[nodes] for nodes in mesh.elements.T) >= mesh.dim)
     keys = facet_keys(mesh.facets, mesh.n_nodes)
     order = np.argsort(keys)
     own = facet_keys(element_facets(mesh.elements[near]).reshape(-1, mesh.dim), mesh.n_nodes)
