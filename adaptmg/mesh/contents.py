@@ -47,15 +47,15 @@ def mesh_of(contents: Contents, *, unit: float, unnamed: str, split_bodies: bool
         for name, members in contents.sets.items() if any(len(rows) and (block == k).any() for k, rows in members)}
     parts = _pieces(len(elements), table, sets, contents.bodies)
     names, split_notes = _names(parts, sets, body or "body", split_bodies)
-    facets, label, held, overlaps = _labelled(len(points), elements, table, parts, contents, boundaries)
-    for name in (*names, *(held[k - 1] for k in np.unique(label))):
+    facets, label, named, overlaps = _labelled(len(points), elements, table, parts, contents, boundaries)
+    for name in (*names, *(named[k - 1] for k in np.unique(label))):
         checks.boundary_name("the name of a boundary or body", name)
     if split_bodies:
-        made = {name: _completed(points, elements[parts == k], facets, label, [unnamed, *held], [name])
+        made = {name: _completed(points, elements[parts == k], facets, label, [unnamed, *named], [name])
                 for k, name in enumerate(names)}
         mesh, rest = merged({name: one for name, (one, _) in made.items()}), [rest for _, rest in made.values()]
     else:
-        mesh, *rest = _completed(points, elements, facets, label, [unnamed, *held], names, parts)
+        mesh, *rest = _completed(points, elements, facets, label, [unnamed, *named], names, parts)
     object.__setattr__(mesh, "notes", tuple(notes + split_notes + contents.notes + overlaps))
     return mesh, np.concatenate(rest)
 
@@ -138,20 +138,20 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _labelled(n: int, elements: np.ndarray, table: FacetTable, parts: np.ndarray, contents: Contents,
-              chosen: Sequence[str] | None) -> tuple[np.ndarray, np.ndarray, list[str], list[str]]:
+              boundaries: Sequence[str] | None) -> tuple[np.ndarray, np.ndarray, list[str], list[str]]:
     """The facets that have names, of the boundary and between bodies; their labels from 1 on; names, and notes."""
     dim = table.facets.shape[1]
     rim = (table.counts == 1) | (parts[table.first] != parts[table.second])
     keys, facets = table.keys[rim], table.facets[rim]
-    held: dict[str, np.ndarray] = {}
+    facets_of: dict[str, np.ndarray] = {}
     notes: list[str] = []
     for name, members in contents.sets.items():
         faces = [(kind, nodes[rows]) for (kind, nodes), rows in ((contents.cells[k], rows) for k, rows in members)
                  if dimension(kind) == dim - 1 and len(rows)]
         if faces:
             own = np.concatenate([simplices(kind, nodes)[0] for kind, nodes in faces])
-            held[name] = np.flatnonzero(np.isin(keys, facet_keys(own, n)))
-    first = contents.surfaces.union(held)
+            facets_of[name] = np.flatnonzero(np.isin(keys, facet_keys(own, n)))
+    first = contents.surfaces.union(facets_of)
     between = _between(contents) if contents.node_sets else []
     for name, nodes in contents.node_sets.items():
         inside = np.zeros(n, dtype=bool)
@@ -159,18 +159,20 @@ def _labelled(n: int, elements: np.ndarray, table: FacetTable, parts: np.ndarray
         for middle in between:
             # a set of corners means the middle nodes between them too
             inside[middle[inside[middle[:, 1:]].all(axis=1), 0]] = True
-        if chosen is None and inside[elements].all():
+        if boundaries is None and inside[elements].all():
             notes.append(f"set of all nodes, which is not taken for a boundary: {name!r}")
         else:
-            held.setdefault(name, np.flatnonzero(inside[facets].all(axis=1)))
-    order = sorted(held, key=lambda name: (name not in first, len(held[name]))) if chosen is None else list(chosen)
-    if unknown := [name for name in order if name not in held]:
-        raise ValueError(f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds {_some(list(held))}")
-    names, label = list(held), np.zeros(len(keys), dtype=np.int64)
+            facets_of.setdefault(name, np.flatnonzero(inside[facets].all(axis=1)))
+    order = list(boundaries) if boundaries is not None else sorted(
+        facets_of, key=lambda name: (name not in first, len(facets_of[name])))
+    if unknown := [name for name in order if name not in facets_of]:
+        raise ValueError(f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds "
+                         f"{_some(list(facets_of))}")
+    names, label = list(facets_of), np.zeros(len(keys), dtype=np.int64)
     for name in order:
-        free = label[held[name]] == 0
-        label[held[name][free]] = names.index(name) + 1
-        if len(free) and not free.all() and (chosen is not None or free.any()):
+        free = label[facets_of[name]] == 0
+        label[facets_of[name][free]] = names.index(name) + 1
+        if len(free) and not free.all() and (boundaries is not None or free.any()):
             notes.append(f"{name!r}: {np.count_nonzero(~free)} of {len(free)} facets belong to another name before it; "
                          "boundaries= sets the order")
     used = set(label.tolist())

@@ -89,14 +89,14 @@ def _raised(size: float, largest: float) -> float:
     return size * 2 ** max(0, math.ceil(math.log2(largest / _NETGEN_RATIO / size)))
 
 
-def plane_mesh(domain: Outline, wanted: SizeField, size: float, near: float | None, names: Sequence[str],
+def plane_mesh(domain: Outline, field: SizeField, size: float, near: float | None, names: Sequence[str],
                grading: float, rounds: int) -> MeshArrays:
     """Mesh a plane domain by a size field, which is at most ``size``, and ``near`` along some boundaries."""
     start = size / _NETGEN_RATIO if near is None else _raised(near, size)
-    mesh = finished(domain, _plane_draft(domain, lambda x: np.maximum(wanted(x), start), size,
+    mesh = finished(domain, _plane_draft(domain, lambda x: np.maximum(field(x), start), size,
                                          dict.fromkeys(names, start), grading, rounds))
     for _ in range(MAX_BISECTIONS):
-        large, sizes = too_large(mesh, wanted)
+        large, sizes = too_large(mesh, field)
         if not large.any():
             return with_refinement(mesh, None)
         refuse_too_many(expected_nodes(mesh, sizes), domain)
@@ -133,9 +133,9 @@ def _plane_draft(domain: Outline, sizes: SizeField, size: float, sides: Mapping[
         mesh = _onto_outline(domain, replace(unit, points=lower + scale * unit.points, bodies=("body",)))
         if left:
             places = mesh.points[mesh.elements].mean(axis=1)
-            asked = sizes(places)
-            nodes = refuse_too_many(expected_nodes(mesh, asked), domain)
-            at = [((places - lower)[asked < size] / scale, asked[asked < size] / scale)]
+            target = sizes(places)
+            nodes = refuse_too_many(expected_nodes(mesh, target), domain)
+            at = [((places - lower)[target < size] / scale, target[target < size] / scale)]
     return mesh
 
 
@@ -290,22 +290,22 @@ def _unit_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
     nodes = refuse_too_many(guessed_nodes(
         3, shape.volume, sizes.size / shape.scale, sum(shape.areas[int(face)] for face in faces),
         sizes.near / shape.scale, sizes.grading), domain)
-    known = candidates(shape.samples) if mesher == "own" else None
-    if mesher == "own" and known is None:
+    surfaces = candidates(shape.samples) if mesher == "own" else None
+    if mesher == "own" and surfaces is None:
         _LOG.info("Netgen makes all elements of %r, which has faces other than planes, cylinders, cones, spheres and "
                   "tori", domain)
-    drafts = [(factor, 1.0) for factor in _FACTORS if known is not None and nodes > _LEAST * factor**3]
+    drafts = [(factor, 1.0) for factor in _FACTORS if surfaces is not None and nodes > _LEAST * factor**3]
     why: Exception | None = None
     for factor, slower in (*drafts, *((1.0, slower) for slower in _ATTEMPTS)):
         try:
-            asked = sizes.drafts(factor, slower)
-            rounds = 0 if asked.function is None and not faces else 2 if factor == 1 and asked.function else 1
-            unit = _solid_draft(worker, shape, asked, faces, domain, nodes / factor**3, rounds)
+            coarse = sizes.drafts(factor, slower)
+            rounds = 0 if coarse.function is None and not faces else 2 if factor == 1 and coarse.function else 1
+            unit = _solid_draft(worker, shape, coarse, faces, domain, nodes / factor**3, rounds)
             try:
                 if factor > 1 and (angle := least_angle(unit.points, unit.elements)) < _MIN_ANGLE:
                     raise Misplaced(f"it has angles of {angle:.1f} degrees")
-                unit = (_bisected(worker, unit, shape, sizes, faces, domain) if known is None else
-                        _refined(unit, shape, sizes, faces, domain, known))
+                unit = (_bisected(worker, unit, shape, sizes, faces, domain) if surfaces is None else
+                        _refined(unit, shape, sizes, faces, domain, surfaces))
             except Misplaced as error:
                 _LOG.info("a draft of %r with sizes times %g is not refined: %s", domain, factor, error)
                 why = error
@@ -349,16 +349,16 @@ def _solid_draft(worker: Netgen, shape: Shape, sizes: SolidSizes, faces: Sequenc
             centroids = mesh.points[mesh.elements].mean(axis=1)
             # before Netgen works for minutes on a mesh that bisection would then find too large
             nodes = max(nodes, refuse_too_many(expected_nodes(mesh, sizes.field(centroids, mesh, faces)), domain))
-            asked = sizes.field(centroids, mesh, faces, sizes.size / _NETGEN_RATIO)
-            small = asked < sizes.size
-            at = [((centroids - shape.lower)[small] / shape.scale, asked[small] / shape.scale)]
+            target = sizes.field(centroids, mesh, faces, sizes.size / _NETGEN_RATIO)
+            small = target < sizes.size
+            at = [((centroids - shape.lower)[small] / shape.scale, target[small] / shape.scale)]
     return unit
 
 
 def _refined(draft: MeshArrays, shape: Shape, sizes: SolidSizes, faces: Sequence[str], domain: Domain,
-             known: list[list[Revolved]]) -> MeshArrays:
+             possible: list[list[Revolved]]) -> MeshArrays:
     """The draft at unit size, refined to the sizes."""
-    surfaces = surfaces_of(known, draft)
+    surfaces = surfaces_of(possible, draft)
 
     def field(unit: MeshArrays) -> np.ndarray:
         mesh = _placed(unit, shape)
