@@ -25,7 +25,7 @@ from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.solver.aggregates import Aggregates, AtNodes, aggregates_of, changed_status
-from adaptmg.solver.energy_error import FrozenStatus, correction
+from adaptmg.solver.energy_error import FrozenStatus, correction, diagonal_blocks
 
 
 @dataclass(frozen=True, repr=False)
@@ -176,7 +176,8 @@ class Evidence:
         energy = _sum(self.unknowns, load - residual)
         energy += 0.0 if problem.volumes is None else problem.volumes.energy(pressures)
         self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0))))
-        diagonal = problem.matrix.diagonal().reshape(shape)
+        self.blocks = diagonal_blocks(problem.matrix)
+        diagonal = np.einsum("nii->ni", self.blocks)
         self.fixed = problem.fixed.reshape(shape)
         self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
         self.normals = problem.contact.normals
@@ -324,7 +325,8 @@ class Evidence:
         exerted = forces[contact.nodes] + lawful
         if self.problem.volumes is not None:
             missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
-        corrected = correction(self.problem, status, forces, missed, aggregates, negligible, self.rounding)
+        corrected = correction(self.problem, self.blocks, status, forces, missed, aggregates, negligible,
+                               self.rounding)
         gap = here.gap - _along(change[contact.nodes] - corrected.moved, contact.normals)
         pressure = -_along(exerted - corrected.forces, contact.normals)
         deepest = -_WRONG * np.linalg.norm(corrected.moved, axis=1).max(initial=0.0)

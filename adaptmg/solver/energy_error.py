@@ -140,9 +140,9 @@ def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, lo
 class _Preconditioner:
     """Forward Gauss-Seidel, coarse correction, backward Gauss-Seidel on the matrix of a status."""
 
-    def __init__(self, matrix: sparse.bsr_array, status: FrozenStatus, aggregates: Aggregates) -> None:
-        held, kept = status.held, status.kept
-        blocks = diagonal_blocks(matrix)
+    def __init__(self, matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenStatus, aggregates: Aggregates
+                 ) -> None:
+        blocks, held, kept = diagonal.copy(), status.held, status.kept
         dim = blocks.shape[1]
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
@@ -178,12 +178,13 @@ class HeldCorrection:
     forces: np.ndarray  # (n_contact, dim): the matrix times it there, N
 
 
-def correction(problem: DiscreteProblem, status: FrozenStatus, residual: np.ndarray, missed: np.ndarray | None,
-               aggregates: Aggregates | None, negligible: float, rounding: float) -> HeldCorrection:
+def correction(problem: DiscreteProblem, diagonal: np.ndarray, status: FrozenStatus, residual: np.ndarray,
+               missed: np.ndarray | None, aggregates: Aggregates | None, negligible: float, rounding: float
+               ) -> HeldCorrection:
     """Return the correction that a residual (n_nodes, dim), and the volumes ``missed`` (n_groups,), bring about in the
     space of a status. If its energy is at most ``negligible`` after the first step, 36 times that after the second, or
     81 times after the third, that is the answer. A residual whose norm is at most ``rounding`` loads no motion. Without
-    aggregates by factors; the residual is overwritten."""
+    aggregates by factors; the residual is overwritten. ``diagonal`` are the blocks of the matrix."""
     status.project(residual)
     load = residual.reshape(-1)
     if missed is not None:
@@ -193,7 +194,7 @@ def correction(problem: DiscreteProblem, status: FrozenStatus, residual: np.ndar
         none = np.zeros((len(status.nodes), problem.dim))
         return HeldCorrection(0.0 if size == 0.0 else np.inf, none, none)
     if aggregates is not None:
-        estimate, settled = _estimated(_Equations(problem, status, aggregates), load, negligible)
+        estimate, settled = _estimated(_Equations(problem, diagonal, status, aggregates), load, negligible)
         if settled or problem.n_dofs > FACTORISED[problem.dim]:
             return estimate
     return _factorised(problem, status, load, rounding)
@@ -219,9 +220,10 @@ class _Direction:
 class _Equations:
     """The equations of a status; the signs of those of volumes make them positive."""
 
-    def __init__(self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates) -> None:
+    def __init__(self, problem: DiscreteProblem, diagonal: np.ndarray, status: FrozenStatus, aggregates: Aggregates
+                 ) -> None:
         self.n, self.status, self.volumes = problem.n_dofs, status, problem.volumes
-        self.precondition = _Preconditioner(problem.matrix, status, aggregates)
+        self.precondition = _Preconditioner(problem.matrix, diagonal, status, aggregates)
         self.symmetric = self.volumes is None and not status.dragged.any()
         self.most = _MOST if self.symmetric else _MOST_COULOMB if self.volumes is None else _MOST_VOLUMES
 

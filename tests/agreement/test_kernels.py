@@ -1,6 +1,7 @@
 """Kernels as plain Python: results do not depend on the compiler, and reads outside of arrays, silent there, raise."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,6 +44,11 @@ def pair(dim):
                   [{"upper": k, "lower": (2, k, 1)} for k in (1, 2)], am.FullMultigrid(max_cycles=1))
 
 
+def rubber():
+    return solved(replace(am.cases.greco_bar(), material=am.PlaneStrain(young=1e6, poisson=0.45), elements="smoothed"),
+                  (2, 4))
+
+
 def smoothed(dim, law):
     problem = network(dim, law, seed=9)
     w = np.random.default_rng(9).normal(size=problem.system.n_dofs) * ~problem.system.fixed
@@ -80,7 +86,7 @@ def stiff(kind):
             "bottom", am.GapFunction(lambda x: 0 * x[:, 0]))), mesh).matrix.toarray()]
 
 
-CASES = {"one body": lambda: one_body(2), "solid": lambda: one_body(3), "pair": lambda: pair(2),
+CASES = {"one body": lambda: one_body(2), "rubber": rubber, "solid": lambda: one_body(3), "pair": lambda: pair(2),
          "solid pair": lambda: pair(3), "meshes": meshed, "transfers": transferred,
          "bisection": lambda: bisected(crooked(SQUARE)), "bisection in space": lambda: bisected(crooked(cube(2))),
          **{f"smoother {dim}D {law}": lambda dim=dim, law=law: smoothed(dim, law)

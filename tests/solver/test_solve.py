@@ -29,17 +29,6 @@ def bar(solved):
     return solved["bar"]
 
 
-def test_probe(bar):
-    grids, result = bar
-    nodes = [0, 17, 100]
-    assert result.probe(grids.finest.mesh.points[nodes]) == pytest.approx(result.displacement[nodes], rel=1e-12)
-    with pytest.raises(ValueError, match="outside the mesh"):
-        result.probe([(0.0, -0.01)])
-    bare = am.solve(grids.finest.discrete, am.SingleGrid(rtol=1e-3))
-    with pytest.raises(ValueError, match="no mesh"):
-        bare.probe([(0.0, 0.0)])
-
-
 def test_the_estimate_is_of_the_error_not_of_the_change(bar):
     """A slow iteration (omega 1) must not stop on its small change."""
     grids, reference = bar

@@ -8,11 +8,9 @@ import pytest
 from bisected_meshes import shaken
 from refused import refused
 from scipy.optimize import nnls
-from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg.cases.closed_forms import quarter_cylinder
-from adaptmg.discrete import elasticity, volumes
 from adaptmg.discrete.volumes import GROUP, Volumes, volume_groups
 from adaptmg.mesh import MeshArrays, structured
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
@@ -84,13 +82,6 @@ def test_groups_do_not_depend_on_the_numbers_of_nodes(dim):
         return {frozenset(map(tuple, mesh.points[nodes].round(9))) for nodes in np.split(means.indices, means.indptr)}
 
     assert members(glued(dim)) == members(glued(dim, 5))
-
-
-def test_the_kernel_groups_the_same_uncompiled(monkeypatch):
-    expected = volume_groups(glued(2), three(am.PlaneStrain))
-    uncompile(monkeypatch, elasticity, volumes)
-    found = volume_groups(glued(2), three(am.PlaneStrain))
-    assert np.array_equal(found.corners, expected.corners)
 
 
 def wave(points):
