@@ -59,7 +59,7 @@ from adaptmg.discrete.supports import held_directions
 from adaptmg.estimate.stress_fields import ElementStress, Posed, contact_tractions, posed
 from adaptmg.geometry.quadrature import integration
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import OPPOSITE, MeshArrays, Surface
+from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.loads import BodyForce, Load, Pressure, Spring, Traction
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
@@ -296,7 +296,7 @@ class Residual:
         volume = volume_squares(this.stress, this.problem.loads, this.young)
         free, touching = boundary_squares(this)
         complementarity, friction = condition_squares(this)
-        jumps = jump_squares(this.stress, this.neighbours.across, this.young)
+        jumps = jump_squares(this)
         parts = {"element residual": volume, "jumps inside": jumps, "traction on boundaries": free,
                  "traction in contact": touching, "complementarity": complementarity, "friction": friction}
         parts = {name: part for name, part in parts.items() if part is not None}
@@ -390,21 +390,21 @@ def _padded(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
 
 
-def jump_squares(stress: ElementStress, across: np.ndarray, young: np.ndarray) -> np.ndarray:
+def jump_squares(this: Posed) -> np.ndarray:
     """Return squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus."""
-    mesh, n = stress.mesh, len(across)
-    one, side = np.nonzero(across > np.arange(n)[:, None])
-    other, facets = across[one, side], mesh.elements[one[:, None], OPPOSITE[mesh.dim][side]]
+    mesh, stress, (one, other), facets = this.mesh, this.stress, this.neighbours.pairs, this.neighbours.facets
     surface = Surface(mesh.points, facets)
     if stress.axisymmetric:
         rule, _, weights = integration(mesh.points, facets, surface.measures, True)
         jump = np.subtract(*(stress.tractions(elements, surface.normals, facets, rule) for elements in (one, other)))
         squares = np.einsum("fqd,fqd,fq->f", jump, jump, weights)
     else:
-        jump = (stress.values[one] - stress.values[other])[:, stress.columns] @ surface.vectors[:, :, None]
-        squares = np.sum(jump[:, :, 0]**2, axis=1) / surface.measures
+        change, vectors = (stress.values[one] - stress.values[other]).T, surface.vectors.T
+        jumps = [sum(change[c] * part for c, part in zip(row, vectors, strict=True)) for row in stress.columns]
+        squares = sum(jump * jump for jump in jumps) / surface.measures
     squares *= 0.5 * (surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures))
-    return sum(np.bincount(elements, squares / young[elements], n) for elements in (one, other))
+    n = len(mesh.elements)
+    return sum(np.bincount(elements, squares, n) for elements in (one, other)) / this.young
 
 
 def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarray) -> np.ndarray | None:

@@ -107,29 +107,31 @@ def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData)
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Which element lies across each facet of an element, and which one a boundary facet belongs to."""
+    """Which elements share the facets inside, and which one a boundary facet belongs to."""
 
-    across: np.ndarray  # (n_elements, dim + 1): the element opposite each corner, -1 on the boundary
+    pairs: np.ndarray  # (2, n): both elements
+    facets: np.ndarray  # (n, dim): the facet between them
     owner: np.ndarray  # (n_facets,)
     outer: np.ndarray  # (n_facets,) bool: no element lies on the other side
 
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
     """Return neighbours in a mesh: two facets of elements with the same nodes follow each other when sorted."""
-    k, n = mesh.dim + 1, mesh.n_nodes
-    keys, own = facet_keys(element_facets(mesh.elements).reshape(-1, mesh.dim), n), facet_keys(mesh.facets, n)
+    k, n, facets = mesh.dim + 1, mesh.n_nodes, element_facets(mesh.elements).reshape(-1, mesh.dim)
+    keys, own = facet_keys(facets, n), facet_keys(mesh.facets, n)
     order = np.argsort(keys)
     keys = keys[order]
     same = np.flatnonzero(keys[1:] == keys[:-1])
-    across = np.full(len(order), -1)
-    across[order[same]], across[order[same + 1]] = order[same + 1] // k, order[same] // k
+    inside = np.stack([order[same], order[same + 1]])
+    alone = np.ones(len(order), dtype=bool)
+    alone[inside] = False
     place = np.minimum(np.searchsorted(keys, own), len(keys) - 1)
     lost = np.flatnonzero(keys[place] != own)
     if len(lost):
         raise ValueError(f"mesh: boundary facet {lost[0]} of nodes {mesh.facets[lost[0]].tolist()} belongs to no "
                          "element")
     side = order[place]
-    return Neighbours(across.reshape(-1, k), side // k, across[side] < 0)
+    return Neighbours(inside // k, facets[inside[0]], side // k, alone[side])
 
 
 _OTHER_STEP = ("of a load step, or where forces are prescribed, give hierarchy.with_problem("
