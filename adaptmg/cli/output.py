@@ -57,8 +57,7 @@ def _described(row: dict) -> str:
     text = f"step {row['step']}: {row['phase']}, {row['nodes']} nodes"
     if math.isfinite(row["estimate"]):
         text += f", estimate {row['estimate']:.2%}"
-    left = row["expected_seconds"] - row["seconds"]
-    return f"{text}, about {left:.0f} s more" if left > 0 else text
+    return text
 
 
 @contextmanager

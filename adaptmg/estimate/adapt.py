@@ -89,7 +89,7 @@ def adapt(problem: ContactProblem,
         all load steps, and refine where any of them needs it.
     progress : callable or bool, optional
         Called with a dict before each phase of a step, and after it: step, phase, nodes, estimate (of the step before),
-        seconds, expected_seconds (of the whole loop, roughly). True: write lines to standard error.
+        seconds. True: write lines to standard error.
 
     Yields
     ------

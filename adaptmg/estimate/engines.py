@@ -97,7 +97,7 @@ def divisible(mesh: MeshArrays) -> np.ndarray:
     return mesh.volumes > (_FINEST * np.abs(mesh.points).max()) ** mesh.dim
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Bisect:
     """The default engine of :func:`adaptmg.adapt`: bisection.
 
@@ -105,11 +105,7 @@ class Bisect:
     2.7, 3.5 in 3D. The same estimate is a somewhat larger error here: at equal true errors the flat punch is remeshed
     as quickly, the others are not (``studies/adaptive_vs_uniform.py``).
 
-    Parameters
-    ----------
-    passes : int, optional
-        How often a marked element is bisected, >= 1. By default until all its edges are halved, 4 triangles, at least
-        8 tetrahedra, or halved twice where squares are large. With 1 meshes grow least, and the loop takes more steps.
+    All edges of marked elements are halved: 4 triangles, at least 8 tetrahedra; twice where squares are large.
 
     Examples
     --------
@@ -118,12 +114,6 @@ class Bisect:
     >>> next(steps).number
     0
     """
-
-    passes: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.passes is not None:
-            object.__setattr__(self, "passes", checks.integer("passes", self.passes, 1))
 
     def first(self, problem: ContactProblem, size: float) -> MeshArrays | None:
         """Return the regular mesh to begin with, of an element size in m; None for domains that have no such mesh."""
@@ -157,10 +147,10 @@ class Bisect:
 
     def _halved(self, mesh: MeshArrays, squares: np.ndarray, chosen: np.ndarray, limit: float) -> MeshArrays:
         """Refined, large squares twice unless that exceeds the limit."""
-        fine = refined(mesh, chosen, self.passes)
+        fine = refined(mesh, chosen)
         enough = 2.0 ** (2 + mesh.dim) * _LEFT * max(squares.mean(), squares[chosen].min())
         again = chosen & (squares > enough)
-        if self.passes is None and again.any() and fine.mesh.n_nodes < limit:
+        if again.any() and fine.mesh.n_nodes < limit:
             finer = refined(fine.mesh, again[fine.origin]).mesh
             return finer if finer.n_nodes <= limit else fine.mesh
         return fine.mesh
@@ -196,6 +186,9 @@ class Bisect:
 
 #: growth of sizes per distance
 _GRADATION = 0.3
+#: bounds of new over old size. At strong singularities sizes have to fall by 4 and more from mesh to mesh; the loop
+#: then puts a level between. True errors at equal nodes, .1 over .25: .90 to .97 (upset block, flat punch), else 1
+_FINEST_SIZE, _COARSEST_SIZE = 0.1, 1.5
 #: the part of ``max_nodes`` that is aimed at; how many meshes before it grow alike, by which part of a step more
 _BELOW = 0.95
 _LAST, _LONGER = 2, 0.2
@@ -221,10 +214,6 @@ class Remesh:
         are to become smaller than .3 of their size. The last two meshes before ``max_nodes`` grow alike, by less or up
         to a fifth (in the exponent) more. Seconds to an error, 3.2 over 2.5: .65 to .96 on five cases, 1.07 on a
         sixth (bolted junction); rates are the same.
-    finest, coarsest : float
-        Bounds of new over old size, 0 < ``finest`` < 1 <= ``coarsest``. At strong singularities sizes have to fall by
-        4 and more from mesh to mesh; the loop then puts a level between. Measured true errors at equal nodes, .1 over
-        .25: .90 to .97 (upset block, flat punch), else equal.
 
     Examples
     --------
@@ -233,23 +222,18 @@ class Remesh:
     """
 
     growth: float = 3.2
-    finest: float = 0.1
-    coarsest: float = 1.5
 
     def __post_init__(self) -> None:
-        checks.convert(self, checks.positive, "growth", "finest", "coarsest")
+        checks.convert(self, checks.positive, "growth")
         if not self.growth > 1:
             raise ValueError(f"growth must be > 1, got {self.growth!r}")
-        if not self.finest < 1 <= self.coarsest:
-            raise ValueError(f"finest and coarsest must satisfy 0 < finest < 1 <= coarsest, got {self.finest!r} and "
-                             f"{self.coarsest!r}")
 
     def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: object = None,
                max_nodes: int | None = None) -> MeshArrays:
         """Return the next mesh.
 
         Sizes follow from all squares of the estimate; ``marked`` is ignored. The mesh has about ``growth`` times as
-        many nodes, within 15 %, less where ``max_nodes`` (5 % less are aimed at) or ``finest`` says so. TypeError or
+        many nodes, within 15 %, less where ``max_nodes`` (5 % less are aimed at) says so. TypeError or
         ValueError if the problem has no domain, the estimate is not of this mesh, or Netgen fails.
         """
         need_domain(problem)
@@ -264,8 +248,7 @@ class Remesh:
     def _equilibrated(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, aim: float
                       ) -> np.ndarray:
         """Sizes (n_nodes,) for a mesh of about ``aim`` nodes, m; contact boundaries keep four edges at least."""
-        sizes = equilibrated_sizes(mesh, estimate.squares, aim, finest=self.finest, coarsest=self.coarsest,
-                                   growth=_GRADATION)
+        sizes = equilibrated_sizes(mesh, estimate.squares, aim)
         for name in problem.pair_boundaries:
             surface = mesh.surface(name)
             largest = surface.measures.sum() ** (1 / (mesh.dim - 1)) / _EDGES
@@ -344,8 +327,7 @@ class NodeCount:
         return self.factor * float(self.inside @ inside + self.boundary @ boundary)
 
 
-def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, *, finest: float = 0.25,
-                       coarsest: float = 1.5, growth: float = 0.3) -> np.ndarray:
+def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, growth: float = _GRADATION) -> np.ndarray:
     """Return sizes at the nodes of a mesh, for a new mesh of about ``n_nodes`` nodes."""
     from scipy.optimize import brentq  # takes long to import
 
@@ -355,14 +337,14 @@ def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, *,
     old, count, edges = simplex_sizes(mesh), NodeCount(mesh), _edges(mesh)
 
     def sizes(log_c: float) -> np.ndarray:
-        new = old * np.clip(math.exp(log_c) * factors, finest, coarsest)
+        new = old * np.clip(math.exp(log_c) * factors, _FINEST_SIZE, _COARSEST_SIZE)
         return graded_sizes(mesh, nodal_sizes(mesh, new), growth, edges)
 
     @cache
     def excess(log_c: float) -> float:
         return math.log(count(sizes(log_c)) / n_nodes)
 
-    low, high = math.log(finest / factors.max()), math.log(coarsest / factors.min())
+    low, high = math.log(_FINEST_SIZE / factors.max()), math.log(_COARSEST_SIZE / factors.min())
     if excess(low) <= 0.0:
         return sizes(low)
     return sizes(high if excess(high) >= 0.0 else brentq(excess, low, high, xtol=_ACCURACY))

@@ -10,9 +10,6 @@ ratio of neighbouring levels, the element sizes :math:`H/h` at the same place (m
 
 With a load path every mesh goes along the whole path, and is refined for its last load step or for all.
 
-With N nodes in d dimensions good meshes have :math:`\eta \sim N^{-1/d}`; the cost of the meshes so far is about
-proportional to the nodes of the last, as they grow geometrically.
-
 In a folder each step is one file of a :class:`adaptmg.solver.store.StepStore`: the result with its mesh, and a
 :class:`StoredStep`. A killed loop goes on with the same numbers. Limits are not part of the fingerprint: a loop may go
 on under others.
@@ -161,19 +158,6 @@ class Step(Generic[Found]):
              "work_units": step.work_units, "total_work_units": step.total_work_units, "seconds [s]": step.seconds,
              "total_seconds [s]": step.total_seconds, "pressure [Pa]": step.result.max_pressure}
             for step in steps])
-
-
-def expected_seconds(steps: Sequence[Step], limits: Limits) -> float:
-    """Return the seconds that the whole loop will have taken when a limit stops it; NaN if nothing is expected."""
-    last, ends = steps[-1], []
-    if limits.max_nodes is not None:
-        ends.append(last.total_seconds * max(limits.max_nodes / last.nodes, 1.0))
-    if limits.tolerance is not None and last.estimate.relative > 0:
-        dim = last.result.dim
-        ends.append(last.total_seconds * max(last.estimate.relative / limits.tolerance, 1.0) ** dim)
-    if limits.max_seconds is not None:
-        ends.append(max(limits.max_seconds, last.total_seconds))
-    return min(ends) if ends else float("nan")
 
 
 def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
@@ -394,8 +378,7 @@ class AdaptiveLoop:
         last = self.done[-1] if self.done else None
         seconds = sum(self.clock.timings.values()) + (0.0 if last is None else last.total_seconds)
         self.progress({"step": len(self.done) - (phase == "done"), "phase": phase, "nodes": nodes, "seconds": seconds,
-                       "estimate": float("nan") if last is None else last.estimate.relative,
-                       "expected_seconds": float("nan") if last is None else expected_seconds(self.done, self.limits)})
+                       "estimate": float("nan") if last is None else last.estimate.relative})
 
 
 def solved(hierarchy: Hierarchy, solver: Solver | None, start: Result | None) -> Result:

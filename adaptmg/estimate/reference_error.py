@@ -56,23 +56,18 @@ class Reference:
 
     problem: ContactProblem
     energy: float  # ||u_H||^2, N m
-    own_error: float  # ||u - u_H||, sqrt(N m)
+    own_error: float  # ||u - u_H|| by Recovery, sqrt(N m)
     points: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): where contact or supports exert forces, m
     forces: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): these forces, on the body, N
     prescribed: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): constants of supports there, m; NaN elsewhere
 
     @classmethod
-    def of(cls, hierarchy: Hierarchy, result: Result, *, own_error: float | None = None) -> Reference:
-        """Return that of a result on the finest mesh of a hierarchy, solved far below the errors to be measured.
-
-        ``own_error`` is ||u - u_H||, sqrt(N m); by default the estimate of :class:`adaptmg.Recovery`.
-        """
+    def of(cls, hierarchy: Hierarchy, result: Result) -> Reference:
+        """Return that of a result on the finest mesh of a hierarchy, solved far below the errors to be measured."""
         this = posed(hierarchy, result)
         if this.problem.elements == "smoothed":
             raise ValueError("a reference must have linear elements, whose energy is that of their strains: solve "
                              "dataclasses.replace(problem, elements=\"linear\")")
-        if own_error is None:
-            own_error = Recovery().indicate(hierarchy, result).total
         mesh, points, on_body, constants = this.mesh, {}, {}, {}
         forces = _exerted(this.discrete, result)
         prescribed = _constants(this.problem, mesh)
@@ -85,7 +80,8 @@ class Reference:
         for k, body in enumerate(mesh.bodies):
             here = acting & (owner == k)
             points[body], on_body[body], constants[body] = places[here], forces[here], prescribed[here]
-        return cls(this.problem, this.norm**2, checks.nonnegative("own_error", own_error), points, on_body, constants)
+        own_error = Recovery().indicate(hierarchy, result).total
+        return cls(this.problem, this.norm**2, own_error, points, on_body, constants)
 
     def against(self, result: Result) -> float:
         """Return a(u, u_h) of a result, N m."""

@@ -192,7 +192,7 @@ def random_loop(seed: int) -> tuple[am.ContactProblem, dict[str, Any]]:
     goals = (am.ContactForce(slave, "normal"), am.Opening(slave), am.MeanDisplacement(slave, "x"))
     indicators = [am.Residual(), am.Recovery(), am.Goal(goals[rng.integers(3)])]
     marks = [am.Doerfler(float(rng.uniform(0.2, 0.9))), am.Maximum(float(rng.uniform(0.1, 0.7)))]
-    engines = [am.Remesh(), am.Remesh(growth=float(rng.uniform(1.6, 4))), am.Bisect(), am.Bisect(passes=1)]
+    engines = [am.Remesh(), am.Remesh(growth=float(rng.uniform(1.6, 4))), am.Bisect(), am.Bisect()]
     return problem, {"start": start, "indicator": indicators[rng.integers(3)], "mark": marks[rng.integers(2)],
                      "engine": engines[rng.integers(4)], "max_nodes": int(rng.integers(1200, 3500))}
 

@@ -190,12 +190,12 @@ def test_every_listed_default_of_a_method_is_its_default(method):
     ({"quantity": "mean-displacement", "boundary": "top", "component": "y", "engine": "bisect"},
      am.MeanDisplacement("top", "y")),
     ({"quantity": "opening", "engine": "bisect"}, am.Opening()),
-    ({"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3, "passes": 1}, None)])
+    ({"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3}, None)])
 def test_settings_reach_the_adaptive_loop(adapt, wanted):
     made = build.arguments_of(am.adapt, {"max_nodes": 90, "start": 10e-3, "indicator": "goal", **adapt}, "adapt.", "")
     assert made["indicator"] == (am.Recovery() if wanted is None else am.Goal(wanted)) and made["start"] == 10e-3
     assert made.get("mark") == (am.Maximum(0.3) if "mark" in adapt else None)
-    assert made.get("engine") == (am.Bisect(passes=adapt.get("passes")) if "engine" in adapt else None)
+    assert made.get("engine") == (am.Bisect() if "engine" in adapt else None)
 
 
 def test_friction_and_elements_of_a_case_that_takes_no_law(command):

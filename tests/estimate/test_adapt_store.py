@@ -51,7 +51,6 @@ def copied(kept, whole, tmp_path) -> Path:
 #: the number of steps before a loop is broken off, and its options
 KINDS = {
     "after a step": (1, {}), "after three": (3, {}),
-    "passes": (2, {"engine": am.Bisect(passes=2)}),
     "levels": (2, {"problem": UPSET, "start": am.Hierarchy.uniform(UPSET, (2, 3, 6)), "max_nodes": 200}),
     "goal": (1, {"start": 10e-3, "indicator": am.Goal(am.Displacement((0.0, 0.02), "x")), "max_nodes": 90}),
     "path": (1, {"problem": am.cases.greco_bar(), "start": 10e-3, "adapt_on": "worst", "max_nodes": 90,
@@ -114,7 +113,7 @@ def test_limits_may_change(copied, whole):
 
 
 @pytest.mark.parametrize("what, options", [
-    ("engine", {"engine": am.Bisect(passes=1)}), ("mark", {"mark": am.Doerfler(0.3)}),
+    ("engine", {"engine": am.Remesh()}), ("mark", {"mark": am.Doerfler(0.3)}),
     ("indicator", {"indicator": am.Recovery()}), ("solver", {"solver": am.Multigrid()}),
     ("transfer", {"transfer": am.L2()}), ("grids", {"start": 7e-3}), ("law", {"problem": upset(0.4)}),
     ("path", {"load_path": am.LoadPath({}, default=[0.5, 1.0])})])

@@ -9,7 +9,7 @@ from bisected_meshes import SQUARE, as_sets, cube, random_mask, verified
 
 import adaptmg as am
 from adaptmg.estimate.engines import divisible
-from adaptmg.mesh import bisect, graded, structured
+from adaptmg.mesh import graded, structured
 from adaptmg.mesh.bisection import refined
 from adaptmg.problem import Outline
 
@@ -32,9 +32,6 @@ def largest(estimate, part):
 def test_it_bisects_what_is_marked():
     estimate = estimate_of(MESH)
     marked = largest(estimate, 0.2)
-    for passes in (1, 3):
-        fine = verified(am.Bisect(passes=passes).refine(PROBLEM, MESH, estimate, marked))
-        assert as_sets(fine) == as_sets(bisect(MESH, marked, passes)[0])
     # twice where once would leave more than half of the mean square, and of the smallest that is marked
     for part, deep in ((0.2, estimate.squares.mean()), (0.05, estimate.squares[largest(estimate, 0.05)].min())):
         marked, twice = largest(estimate, part), estimate.squares > 8 * deep
@@ -51,8 +48,8 @@ def test_it_bisects_what_is_marked():
 
 @pytest.mark.parametrize("mesh", [MESH, cube(4)], ids=["2D", "3D"])
 @pytest.mark.parametrize("room", [1.02, 1.5])
-@pytest.mark.parametrize("engine", [am.Bisect(), am.Bisect(passes=1)])
-def test_a_limit_is_kept_and_used(mesh, room, engine):
+def test_a_limit_is_kept_and_used(mesh, room):
+    engine = am.Bisect()
     estimate = estimate_of(mesh, mesh.points[0])
     limit = int(room * mesh.n_nodes)
     marked = np.ones(len(mesh.elements), dtype=bool)

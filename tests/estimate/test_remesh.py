@@ -193,7 +193,7 @@ def test_number_of_nodes_bounds_and_growth(seed, growth, spread):
     pairs, lengths = edges_of(mesh)
     assert (np.abs(sizes[pairs[:, 0]] - sizes[pairs[:, 1]]) <= 0.3 * lengths * (1 + 1e-9)).all()
     assert (sizes <= 1.5 * old * (1 + 1e-9)).all()
-    lowest = graded_sizes(mesh, 0.25 * old, 0.3)
+    lowest = graded_sizes(mesh, 0.1 * old, 0.3)
     assert (sizes >= lowest * (1 - 1e-9)).all()
     count = NodeCount(mesh)
     highest = graded_sizes(mesh, 1.5 * old, 0.3)

@@ -8,7 +8,7 @@ import numpy as np
 from hostile_table import Hostile, each, labelled
 
 import adaptmg as am
-from adaptmg.estimate import Reference, Remesh, energy_error
+from adaptmg.estimate import Remesh, energy_error
 from adaptmg.mesh import merged, structured
 
 NAN = float("nan")
@@ -134,7 +134,6 @@ def _errors():
     yield from each("error of result", lambda v: energy_error((_grids(), _result()), v()), {
         "text": lambda: "r", "bare": _bare, "pair": lambda: am.solve(am.Hierarchy.graded(
             am.cases.two_block_patch(), (0.03,)), am.ActiveSet())})
-    yield from each("own_error", lambda v: Reference.of(_grids(), _result(), own_error=v), {"negative": -1.0})
 
 
 INPUTS = (*_parts(), *_marking(), *_goals(), *_errors())

@@ -35,7 +35,7 @@ _KEYWORDS = (
     (am.InitialStrain, "components", ((1e300, 0.0),), {"body": "body"}), (am.LoadPath, "default", ([0.5, NAN],), {}),
     (am.ContactPair, "reach gap", (-1.0,), {"slave": "a", "master": "b"}), (am.SingleGrid, "omega", (2.0,), {}),
     (am.cases.greco_bar, "size", (NAN,), {}), (am.CoarseSolve, "atol", (1.0,), {}),
-    (am.Doerfler, "theta", (0.0,), {}), (am.Remesh, "growth finest", (1.0,), {}),
+    (am.Doerfler, "theta", (0.0,), {}), (am.Remesh, "growth", (1.0,), {}),
     (am.Estimate, "squares", ([-1.0], []), {"norm": 1.0}),
     (am.Estimate, "norm", (-1.0,), {"squares": [1.0]}), (am.Estimate, "signed", (NAN,), {"squares": [1.0], "norm": 1.0,
                                                                                            "value": 1.0}),
