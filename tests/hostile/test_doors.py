@@ -53,7 +53,7 @@ def adapted(**given):
 #: arguments that the fields of dataclasses take, by their names
 FIELDS = {name: value for names, value in {
     "width depth height radius size base reach tangential unit norm value x at limit omega angle default": 1.0,
-    "young": 1e9, "poisson friction grading": 0.3, "theta rotation": 0.5, "rtol finest": 0.1, "coarsest growth": 2.0,
+    "young": 1e9, "poisson friction grading": 0.3, "theta rotation": 0.5, "rtol": 0.1, "growth": 2.0,
     "cycles max_cycles max_steps max_sweeps passes pre post recombine": 2, "moment": 0.0, "path": Path("a.step"),
     "allow_interference nested_start condensed": False, "boundary body name slave": "a", "master": "b",
     "component direction": "x", "coupling": "mortar", "shape": "V", "stop test": "error", "order": "forward",
