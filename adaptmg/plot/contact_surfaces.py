@@ -313,8 +313,8 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
     against : str
         The label of ``factors``, with their unit.
     steps : int
-        The largest number of steps drawn for each contact boundary: the first, the last, that of the largest pressure,
-        and others between them; 0 for none. The title says how many are left out.
+        The largest number of steps drawn for each contact boundary: the first, the last, those of the largest factor
+        and pressure, and others between them; 0 for none. The title says how many are left out.
 
     Examples
     --------
@@ -331,7 +331,7 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
     names = chosen_boundaries(results[-1]) if checks.integer("steps", steps) else ()
     if not rows and not names:
         raise ValueError("nothing to draw: give quantities, or steps > 0")
-    shown = _shown(results, steps) if names else ()
+    shown = _shown(results, factors, steps) if names else ()
     columns, curve_columns = min(_COLUMNS, max(len(shown), 1)), min(3, max(len(rows), 1))
     curve_rows, map_rows = -(-len(rows) // curve_columns), -(-len(shown) // columns)
     heights = [2.7 * curve_rows] * bool(rows) + [2.1 * map_rows + 0.5] * len(names)
@@ -364,12 +364,12 @@ def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result
     return results, factors
 
 
-def _shown(results: list[Result], steps: int) -> np.ndarray:
-    """The numbers of the steps to draw: evenly spread, but one of them that of the largest pressure."""
+def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray:
+    """The numbers of the steps to draw: evenly spread, but with those of the largest factor and pressure."""
     shown = np.linspace(0, len(results) - 1, min(steps, len(results))).round().astype(int)
-    peak = np.argmax([result.contact.pressure.max(initial=0.0) for result in results])
-    if len(shown) > 2 and peak not in shown:
-        shown[1 + np.argmin(np.abs(shown[1:-1] - peak))] = peak
+    for values in (factors, [result.contact.pressure.max(initial=0.0) for result in results]):
+        if len(shown) > 2 and (peak := np.argmax(values)) not in shown:
+            shown[1 + np.argmin(np.abs(shown[1:-1] - peak))] = peak
     return shown
 
 
