@@ -183,31 +183,19 @@ def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None
     >>> plate = am.mesh.from_file("plate.inp", unit=1e-3)                # the file is in mm
     >>> plate.boundaries
     ('bottom', 'right', 'top', 'left')
-
-    A Gmsh script names what a problem speaks of. Curves become boundaries, the surface a body::
-
-        SetFactory("OpenCASCADE");
-        Rectangle(1) = {0, 0, 0, 0.2, 0.1};
-        Physical Curve("bottom") = {1};     // Tools > Visibility shows the numbers
-        Physical Curve("top") = {3};
-        Physical Surface("plate") = {1};
-
-    ``gmsh -2 -clmax 0.01 plate.geo -o fine.msh`` meshes it. Then the names are those of the problem, which needs no
-    domain: ``am.Contact("bottom", ...)``, ``am.Pressure("top", ...)``, ``material={"plate": ...}`` or one for all;
-    ``am.Hierarchy.from_meshes(problem, ["coarse.msh", "fine.msh"])`` takes the files.
     """
     path = _file("path", path)
     unit = checks.quantity("unit", unit, positive=True)
     for name, value in (("unnamed", unnamed), ("body", body)):
         if value is not None:
             checks.boundary_name(name, value)
-    wanted = None if boundaries is None else checks.strings("boundaries", boundaries)
+    order = None if boundaries is None else checks.strings("boundaries", boundaries)
     suffix = path.suffix.lower()
     if suffix in (".step", ".stp"):
         raise ValueError(f"{str(path)!r} is a geometry, not a mesh: am.mesh.graded(am.StepFile(path), size) meshes it")
     try:
         if path.name.lower().endswith((".vol", ".vol.gz")):
-            if split_bodies or wanted is not None or body is not None:
+            if split_bodies or order is not None or body is not None:
                 raise ValueError("split_bodies, boundaries and body are not for files of Netgen")
             points, elements, facets, label, names, material, bodies = _read("read_vol", path)
             for name in (*names, *bodies):
@@ -215,7 +203,7 @@ def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None
             return check_stranger(normalised(unit * points, elements, facets, label, names, material, bodies))
         contents = read_deck(path) if suffix == ".inp" else Contents(*_read("read_meshio", path))
         mesh, rest = mesh_of(contents, unit=unit, unnamed=unnamed or "free",
-                             split_bodies=checks.flag("split_bodies", split_bodies), boundaries=wanted, body=body)
+                             split_bodies=checks.flag("split_bodies", split_bodies), boundaries=order, body=body)
     except (ValueError, OverflowError) as error:
         remedy = "; write it as MSH 2.2 (gmsh -format msh22)" * (suffix == ".msh" and isinstance(error, NetgenFails))
         raise ValueError(f"{str(path)!r}: {shortened(printable(str(error)))}{remedy}") from error
