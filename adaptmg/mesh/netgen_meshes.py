@@ -177,7 +177,7 @@ def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     return sound_by_construction(replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StepSolid(SolidDomain):
     """A solid of a STEP file."""
 
@@ -189,6 +189,9 @@ class StepSolid(SolidDomain):
     def boundaries(self) -> tuple[str, ...]:
         """Distinct names of faces."""
         return tuple(dict.fromkeys(self.faces))
+
+    def __repr__(self) -> str:
+        return f"solid {self.number + 1} of {str(self.file.path)!r}"
 
 
 @dataclass(frozen=True)
