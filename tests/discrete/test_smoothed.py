@@ -1,7 +1,6 @@
 """Edge-smoothed elements: their form, summed edge by edge, and what loads, energies and stresses follow from it."""
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -12,60 +11,13 @@ from uncompiled import uncompile
 import adaptmg as am
 from adaptmg._threads import set_threads
 from adaptmg.discrete import elasticity, load_vector, stiffness
-from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate.reference_error import Reference
-from adaptmg.mesh import MeshArrays
 from adaptmg.problem.loads import InitialStrain
 
 
 def two(kind) -> dict:
     return {"left": kind(young=2.1e11, poisson=0.36), "right": kind(young=7e10, poisson=-0.2)}
-
-
-def edges_of(mesh: MeshArrays) -> dict[tuple, list[int]]:
-    """The elements of each edge of each body."""
-    result: dict[tuple, list[int]] = {}
-    for e, corners in enumerate(mesh.elements):
-        for edge in combinations(sorted(corners), 2):
-            result.setdefault((mesh.element_body[e], *edge), []).append(e)
-    return result
-
-
-def by_edges(mesh: MeshArrays, materials) -> np.ndarray:
-    """K' dense, from the strains (3, 3, n_dofs) of elements."""
-    dim, around = mesh.dim, isinstance(next(iter(materials.values())), am.Axisymmetric)
-    k, n = mesh.dim + 1, mesh.points.size
-    strains, volumes = [], mesh.volumes.copy()
-    for e, corners in enumerate(mesh.elements):
-        slopes = np.linalg.inv(np.column_stack([np.ones(k), mesh.points[corners]]))[1:]
-        strain = np.zeros((3, 3, n))
-        for a, v in enumerate(corners):
-            for i in range(dim):
-                strain[i, :dim, dim * v + i] += slopes[:, a]
-        if around:
-            radius = mesh.points[corners, 0].mean()
-            strain[2, 2, 2 * corners] += 1 / (3 * radius)
-            volumes[e] *= 2 * np.pi * radius
-        strains.append((strain + strain.transpose(1, 0, 2)) / 2)
-    result = np.zeros((n, n))
-    for (body, *_), there in edges_of(mesh).items():
-        material = body_materials(mesh, materials)[body]
-        mean = sum(volumes[e] * strains[e] for e in there) / volumes[there].sum()
-        trace, share = np.einsum("iin->n", mean), volumes[there].sum() / (3 if dim == 2 else 6)
-        result += share * (2 * material.shear_modulus * np.einsum("ijn,ijm->nm", mean, mean)
-                           + material.lame * np.outer(trace, trace))
-    return result
-
-
-@EACH_KIND
-def test_the_matrix_is_the_sum_over_edges_of_each_body_in_sorted_symmetric_blocks(kind):
-    mesh, materials = MESHES[kind.dim], two(kind)
-    matrix = stiffness(mesh, materials, "smoothed")
-    expected = by_edges(mesh, materials)
-    np.testing.assert_allclose(matrix.toarray(), expected, rtol=0, atol=1e-14 * np.abs(expected).max())
-    assert matrix.has_sorted_indices and matrix.indices.dtype == np.int32
-    assert abs(matrix - matrix.T).max() == 0.0
 
 
 @EACH_KIND

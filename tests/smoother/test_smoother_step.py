@@ -11,10 +11,9 @@ from smoother_problems import LAWS, dual_solution, network, spd, tresca_energy
 
 import adaptmg as am
 from adaptmg.smoother import ProjectedGaussSeidel
-from adaptmg.smoother import system as codes_of
 from adaptmg.smoother.conditions import natural_residual, states
 from adaptmg.smoother.node_solve import _inside, slip_3d, solve_2d, solve_3d
-from adaptmg.smoother.system import OPEN, SLIP, STICK, LocalProblem, contact_codes, inverse_blocks, local_system
+from adaptmg.smoother.system import LocalProblem, contact_codes, contact_states, inverse_blocks, local_system
 
 NETWORKS = [f"network {dim}D {law}" for dim in (2, 3) for law in LAWS]
 MESHES = {
@@ -169,15 +168,9 @@ def test_a_symmetric_sweep_is_a_forward_and_a_backward_one():
     assert smooth(problem, w, 0) == 0
 
 
-def test_codes_of_contact_nodes_and_their_states():
-    free, held, slips, backwards, closed = (getattr(codes_of, name) for name in (
-        "FREE", "HELD", "SLIPS", "BACKWARDS", "CLOSED"))
-    touch, stick = np.array([0, 0, 1, 1, 1], dtype=bool), np.array([0, 1, 0, 1, 0], dtype=bool)
-    assert contact_codes(touch, stick, np.array([0, 1, 0, 1, 1], dtype=bool)).tolist() == [
-        slips, held, closed + slips, closed + held, closed + backwards]
-    codes = np.array([free, held, *(closed + code for code in (free, slips, backwards, held, held))])
-    found = codes_of.contact_states(codes, np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0]))
-    assert found.dtype == np.int8 and found.tolist() == [OPEN, OPEN, SLIP, SLIP, SLIP, STICK, OPEN]
+def test_a_node_that_touches_without_a_force_is_open():
+    codes = contact_codes(np.array([True, True, False]), np.ones(3, dtype=bool))
+    assert contact_states(codes, np.array([1.0, 0.0, 0.0])).tolist() == [am.STICK, am.OPEN, am.OPEN]
 
 
 def test_a_singular_block_is_named():
