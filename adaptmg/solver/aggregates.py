@@ -29,6 +29,7 @@ from scipy.sparse.linalg import splu
 from adaptmg._numba import kernel
 from adaptmg.discrete.coordinates import frames_of, from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.smoother.blocks import ZERO, in_loop, increase, inner, read, times
 from adaptmg.smoother.interior_point import Conditions, dense_factors, interior_point
 
 #: nodes of an aggregate and its depth in the graph, by dimension
@@ -140,27 +141,66 @@ class Aggregates:
 aggregates_of = remembered_of_structure(Aggregates)
 
 
+@kernel
+def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, band):
+    """Add the lower half of B'AB to ``band`` (n_coarse, width), column by column. ``forces`` (modes * dim,) comes as 0:
+    what the matrix makes there of the motions of one aggregate, until the next one comes."""
+    dim = np.uint64(len(zero))
+    modes = len(forces) // len(zero)
+    for i in range(len(indptr) - 1):
+        if starts[i] == starts[i + 1]:
+            continue
+        own = last = place[label[starts[i]]]
+        for p in range(indptr[i], indptr[i + 1]):
+            at = starts[indices[p]]
+            other = place[label[at]] if at < starts[indices[p] + 1] else own + 1
+            if other > own:
+                continue
+            if other != last:
+                _project(starts[i], motions, own, last, zero, forces, band)
+                last = other
+            for q in range(modes):
+                v = read(motions, dim * np.uint64(modes * at + q), zero)
+                increase(forces, dim * np.uint64(q), times(data, dim * dim * np.uint64(p), v))
+        _project(starts[i], motions, own, last, zero, forces, band)
+
+
+@in_loop
+def _project(at, motions, own, other, zero, forces, band):
+    """Add to ``band`` the work of the forces on the motions of a node."""
+    dim = np.uint64(len(zero))
+    modes = len(forces) // len(zero)
+    for q in range(modes):
+        v = read(motions, dim * np.uint64(modes * at + q), zero)
+        for r in range(modes if other < own else q + 1):
+            band[modes * other + r, modes * (own - other) + q - r] += inner(v, read(forces, dim * np.uint64(r), zero))
+    forces[:] = 0.0
+
+
 class CoarseCorrection:
     """B'(A + S)B of a contact status, factorised; S are blocks (n, dim, dim) at some nodes."""
 
     def __init__(self, matrix: sparse.bsr_array, basis: sparse.bsr_array, nodes: np.ndarray, stiffening: np.ndarray
                  ) -> None:
-        self._basis, self._transposed = basis, basis.T
-        coarse = self._transposed @ (matrix @ basis)
-        if stiffening.any():
-            coarse = coarse + self._transposed @ (at_nodes(nodes, stiffening, basis.shape[0]) @ basis)
-        coarse = sparse.coo_array(coarse)
+        self._basis, (_, dim, modes) = basis, basis.data.shape
         # a narrow band
-        self._order = reverse_cuthill_mckee(sparse.csr_array(coarse), symmetric_mode=True)
-        place = np.argsort(self._order)
-        row, column = place[coarse.row], place[coarse.col]
-        lower = row >= column
-        below = (row - column)[lower]
-        band = np.zeros((below.max(initial=0) + 1, len(place)))
-        band[below, column[lower]] = coarse.data[lower]
-        band[0] += raised(band[0])
+        pairs = sparse.csr_array((np.ones(len(basis.indices), dtype=bool), basis.indices, basis.indptr))
+        graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr))
+        coarse = sparse.csr_array(pairs.T @ (graph @ pairs))
+        order = reverse_cuthill_mckee(coarse, symmetric_mode=True)
+        place = np.argsort(order).astype(np.int32)
+        rows = np.repeat(place, np.diff(coarse.indptr))
+        band = np.zeros((modes * len(order), modes * (int(np.max(rows - place[coarse.indices], initial=0)) + 1)))
+        motions = basis.data.swapaxes(1, 2).reshape(-1)
+        arguments = basis.indptr, basis.indices, motions, place, ZERO[dim], np.zeros(dim * modes), band
+        _fill(matrix.indptr, matrix.indices, matrix.data.reshape(-1), *arguments)
+        if stiffening.any():
+            more = at_nodes(nodes, stiffening, basis.shape[0])
+            _fill(more.indptr, more.indices, more.data.reshape(-1), *arguments)
+        band[:, 0] += raised(band[:, 0])
+        self._order = (modes * order[:, None] + np.arange(modes)).reshape(-1)
         try:
-            self._factor = linalg.cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+            self._factor = linalg.cholesky_banded(band.T, overwrite_ab=True, lower=True, check_finite=False)
         except linalg.LinAlgError:
             self._factor = None  # a motion that nothing holds: the sweeps alone precondition too
 
@@ -168,7 +208,7 @@ class CoarseCorrection:
         """Return the coarse correction (n_dofs,) of a residual."""
         if self._factor is None:
             return np.zeros_like(residual)
-        sums = (self._transposed @ residual)[self._order]
+        sums = (self._basis.T @ residual)[self._order]
         values = np.empty_like(sums)
         values[self._order] = linalg.cho_solve_banded((self._factor, True), sums, check_finite=False)
         return self._basis @ values
