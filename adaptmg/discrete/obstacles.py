@@ -36,7 +36,8 @@ def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, sur
         raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
     normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
     gaps = np.array(gaps, dtype=np.float64)
-    gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
+    if gaps.min(initial=0.0) < 0:
+        gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
     if gaps.min(initial=0.0) < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))
         raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
