@@ -254,7 +254,8 @@ def draw_bodies(ax: Axes, mesh: MeshArrays, colors: Coloring | Sequence[str], ma
         _fill(ax, now, mesh, elements, colors, lines)
         for points, color, width in ((before, style.GREY, 0.8), (now, style.INK, 1.0)):
             if points is not None:
-                ax.add_collection(LineCollection(points[facets], color=color, linewidth=width, zorder=3))
+                ax.add_collection(LineCollection(points[facets], color=color, linewidth=width, zorder=3,
+                                                 capstyle="projecting"))
         halves = style.halves(now[facets[marked]])
         for color, width in (("white", 4.2), (inks[codes[marked].ravel()], 2.8)):
             ax.add_collection(LineCollection(halves, color=color, linewidth=width, capstyle="round", zorder=4))
