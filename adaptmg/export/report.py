@@ -329,12 +329,14 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     'study.html'
     """
     checks.instance("table", table, pd.DataFrame, "a pandas DataFrame")
-    parameters = _columns("parameters", parameters, table)
+    for name, columns in (("parameters", parameters), ("results", results or ())):
+        if missing := [column for column in checks.strings(name, columns) if column not in table]:
+            raise ValueError(f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}")
     units = {"seconds": "s"} | dict(units or {})
     done = table[table["status"] == "done"] if "status" in table else table
     varied = [name for name in done if name not in (*parameters, "status", "error")
               and (values := numbers(done[name])) is not None and values.nunique() > 1]
-    drawn = varied[:2] if results is None else _columns("results", results, table)
+    drawn = varied[:2] if results is None else results
     for name in drawn:
         if len(done) and numbers(done[name]) is None:
             raise ValueError(f"results: column {name!r} holds no numbers to draw, got "
@@ -364,15 +366,6 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
         page.made(fixed_parameters=", ".join(f"{key} = {value}" for key, value in fixed.items()))
     page.made(**{str(key): str(value) or "-" for key, value in (made or {}).items()})
     return page.write(path)
-
-
-def _columns(name: str, columns: Sequence[str], table: pd.DataFrame) -> list[str]:
-    if isinstance(columns, str):
-        raise TypeError(f"{name} must be a sequence of column names, got {columns!r}: write [{columns!r}]")
-    missing = [column for column in columns if column not in table.columns]
-    if missing:
-        raise ValueError(f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}")
-    return list(columns)
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ def test_lines_are_medians_and_bands_span_the_runs():
 def test_bad_arguments_are_refused(tmp_path):
     for frame, options, error, message in (
             ([], {"parameters": []}, TypeError, "DataFrame"),
-            (table(), {"parameters": "sweeps"}, TypeError, "sequence of column names"),
+            (table(), {"parameters": "sweeps"}, TypeError, "sequence of names"),
             (table(), {"parameters": ["sweps"]}, ValueError, r"columns the table does not have: \['sweps'\]"),
             (table(), {"results": ["method"]}, ValueError, "'method' holds no numbers to draw, got 'V'")):
         with pytest.raises(error, match=message):
