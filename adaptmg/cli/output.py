@@ -126,12 +126,6 @@ def write(directory: Path | None, solved: Solved) -> list[Path]:
 
 def loop_summary(steps: list[am.Step], files: list[Path]) -> dict[str, object]:
     """Return an adaptive loop as JSON takes it."""
-    rows = [{"step": step.number, "nodes": step.nodes, "levels": [level.n_nodes for level in step.hierarchy.levels],
-             "contact_nodes": len(step.result.contact), "estimate": step.estimate.relative,
-             "estimate_total": step.estimate.total, "terms": dict(step.estimate.terms), "cycles": step.result.cycles,
-             "rate": step.result.rate, "rtol": step.result.rtol, "work_units": step.work_units,
-             "total_work_units": step.total_work_units, "seconds": step.seconds, "total_seconds": step.total_seconds,
-             "timings": dict(step.timings)} for step in steps]
     last = steps[-1]
     return finite({"problem": last.result.problem_name, "indicator": last.estimate.indicator, "outcome": last.outcome,
-                   "steps": rows, "result": summary(last.result, files)})
+                   "steps": am.Step.table(steps).to_dict("records"), "result": summary(last.result, files)})

@@ -161,9 +161,8 @@ def test_json_says_what_the_loop_did(command, options):
     code, out, _ = command(*SMALL, *options, "--json")
     said = json.loads(out)
     assert code == 0 and said["outcome"] and said["steps"][0]["step"] == 0
-    assert all(row["estimate"] > 0 and row["levels"][-1] == row["nodes"] for row in said["steps"])
+    assert all(row["estimate"] > 0 and row["status"] == "CONVERGED" for row in said["steps"])
     assert said["result"]["status"] == "CONVERGED"
-    assert sum(said["steps"][0]["terms"].values()) == pytest.approx(said["steps"][0]["estimate_total"] ** 2)
 
 
 def test_files_are_written_and_a_store_is_gone_on_from(command, tmp_path):
