@@ -1,8 +1,8 @@
 """Meshes, and results on them, as files of other programs.
 
 :func:`mesh` writes a mesh with the names of its boundaries and bodies as a file of Gmsh, or as a deck of Abaqus or
-CalculiX. :func:`vtk` and :func:`vtk_series` write results as VTK unstructured grids (.vtu, XML with raw appended data),
-for ParaView and others:
+CalculiX. :func:`vtk` and :func:`vtk_series` write results as VTK unstructured grids (.vtu), for ParaView and others.
+meshio writes the formats that it knows.
 
 SI units; vectors have three components, z = 0 in 2D. No value is NaN.
 
@@ -14,8 +14,7 @@ contact nodes are those of the slave surface, gap and slip relative to the maste
 Cell data: ``body``, and with materials ``stress`` (xx, yy, zz, xy, yz, xz; axisymmetric: x = r, y axial, zz the hoop
 stress) and ``von_mises``, Pa, constant in each cell.
 
-Field data: ``body:NAME`` and ``contact:NAME`` (of a pair ``contact:SLAVE|MASTER``) hold the index of each body and
-contact boundary: not all readers know the strings of VTK. Control characters in names are written as codes (\\x01).
+Bodies and contact boundaries are numbered in the order of ``result.mesh.bodies`` and ``result.contact.names``.
 """
 
 from __future__ import annotations
@@ -23,8 +22,6 @@ from __future__ import annotations
 import io
 import os
 import re
-import struct
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -127,11 +124,6 @@ def _deck(mesh: MeshArrays, points: np.ndarray) -> bytes:
     return out.getvalue().encode()
 
 
-_TYPES = {"float64": "Float64", "int64": "Int64", "int32": "Int32", "uint8": "UInt8", "int8": "Int8"}
-#: VTK's codes of triangles and tetrahedra by dimension
-_CELLS = {2: 5, 3: 10}
-
-
 def vtk(result: Result, path: str | os.PathLike[str]) -> None:
     """Write a result with a mesh to a ``.vtu`` file, which appears complete or not at all; see the module.
 
@@ -143,7 +135,9 @@ def vtk(result: Result, path: str | os.PathLike[str]) -> None:
     target = checks.file_path("path", path)
     if target.suffix != ".vtu":
         raise ValueError(f"path must end in .vtu, got {os.fspath(path)!r}")
-    write_bytes(target, _document(result))
+    with waiting_folder() as folder:
+        _write(result, folder / "result.vtu")
+        write_bytes(target, (folder / "result.vtu").read_bytes())
 
 
 def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None
@@ -187,7 +181,7 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     make_folder("path", target.parent)
     with waiting_folder(target.parent) as waiting:
         for name, result in zip(names, results, strict=True):
-            write_bytes(waiting / name, _document(result))
+            _write(result, waiting / name)
         for name in names:
             os.replace(waiting / name, target.parent / name)
     write_bytes(target, _collection(names, times))
@@ -201,51 +195,16 @@ def _collection(names: Sequence[str], times: np.ndarray) -> bytes:
                       "</Collection>", "</VTKFile>", ""]).encode()
 
 
-def _document(result: Result) -> bytes:
-    """The whole file."""
+def _write(result: Result, path: Path) -> None:
+    import meshio
+
     mesh = checks.instance("result", result, Result).mesh
-    elements = np.ascontiguousarray(mesh.elements, dtype=np.int64)
-    cells: dict[str, np.ndarray] = {"body": mesh.element_body}
+    cells = {"body": [mesh.element_body]}
     if result.stress_data is not None:
-        cells |= {"stress": result.stress(), "von_mises": result.von_mises()}
-    sections = {
-        "FieldData": _field_data(result),
-        "PointData": {"displacement": _three(result.displacement), "reaction": _three(result.reaction)}
-        | _contact_data(result),
-        "CellData": cells,
-        "Points": {"points": _three(mesh.points)},
-        "Cells": {"connectivity": elements.reshape(-1),
-                  "offsets": np.arange(1, len(elements) + 1, dtype=np.int64) * elements.shape[1],
-                  "types": np.full(len(elements), _CELLS[mesh.dim], dtype=np.uint8)},
-    }
-    order = "LittleEndian" if sys.byteorder == "little" else "BigEndian"
-    head = ['<?xml version="1.0"?>',
-            f'<VTKFile type="UnstructuredGrid" version="1.0" byte_order="{order}" header_type="UInt64">',
-            "<UnstructuredGrid>"]
-    blocks, offset = [], 0
-    for tag, arrays in sections.items():
-        head.append(f"<{tag}>")
-        for name, array in arrays.items():
-            counts = f' NumberOfTuples="{len(array)}"' if tag == "FieldData" else ""
-            counts += f' NumberOfComponents="{array.shape[1]}"' if array.ndim == 2 else ""
-            head.append(f'<DataArray type="{_TYPES[array.dtype.name]}" Name={quoteattr(printable(name))}{counts} '
-                        f'format="appended" offset="{offset}"/>')
-            data = np.ascontiguousarray(array).tobytes()
-            blocks.append(struct.pack("=Q", len(data)) + data)
-            offset += len(blocks[-1])
-        head.append(f"</{tag}>")
-        if tag == "FieldData":
-            head.append(f'<Piece NumberOfPoints="{mesh.n_nodes}" NumberOfCells="{len(elements)}">')
-    head += ["</Piece>", "</UnstructuredGrid>", '<AppendedData encoding="raw">', "_"]
-    return "\n".join(head).encode() + b"".join(blocks) + b"\n</AppendedData>\n</VTKFile>\n"
-
-
-def _field_data(result: Result) -> dict[str, np.ndarray]:
-    contact = result.contact
-    names = {f"body:{name}": k for k, name in enumerate(result.mesh.bodies)}
-    names |= {f"contact:{slave}|{master}" if master else f"contact:{slave}": k
-              for k, (slave, master) in enumerate(zip(contact.names, contact.masters, strict=True))}
-    return {name: np.array([k], dtype=np.int32) for name, k in names.items()}
+        cells |= {"stress": [result.stress()], "von_mises": [result.von_mises()]}
+    points = {"displacement": _three(result.displacement), "reaction": _three(result.reaction)} | _contact_data(result)
+    raw = meshio.Mesh(_three(mesh.points), [("triangle" if mesh.dim == 2 else "tetra", mesh.elements)], points, cells)
+    meshio.vtu.write(path, raw, compression=None, header_type="UInt64")
 
 
 def _contact_data(result: Result) -> dict[str, np.ndarray]:

@@ -2,17 +2,14 @@
 
 import dataclasses
 import os
-import re
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from made import cube, result_on, square
 from made_bodies import two_bodies
-from nasty_texts import NASTY
 
 import adaptmg as am
-from adaptmg._text import printable
 from adaptmg.discrete.stress import StressData
 from adaptmg.export import mesh_files, vtk, vtk_series
 
@@ -66,22 +63,6 @@ def test_vtk_stress_is_that_of_each_body(tmp_path, dim):
     np.testing.assert_allclose(cells["stress"], expected[:, None] * np.eye(6)[0], atol=1e-6 * expected.max())
     vtk(dataclasses.replace(result, stress_data=None), tmp_path / "r.vtu")
     assert list(meshio.read(tmp_path / "r.vtu").cell_data_dict) == ["body"]
-
-
-@pytest.mark.parametrize("name", NASTY, ids=ascii)
-def test_any_name_gives_a_well_formed_vtu_file(tmp_path, name):
-    result = two_bodies(2, 3, 2)
-    mesh = dataclasses.replace(result.mesh, bodies=(name, f"{name}2"))
-    contact = dataclasses.replace(result.contact, names=(name,), masters=(f"{name}2",))
-    vtk(dataclasses.replace(result, mesh=mesh, contact=contact, problem_name=name), tmp_path / "r.vtu")
-    head, tail = re.fullmatch(rb"(.*<AppendedData encoding=.raw.>).*(</AppendedData>.*)",
-                              (tmp_path / "r.vtu").read_bytes(), re.DOTALL).groups()
-    fields = ElementTree.fromstring(head + tail).find(".//FieldData")
-    shown = printable(name)
-    assert [array.get("Name") for array in fields] == [f"body:{shown}", f"body:{shown}2", f"contact:{shown}|{shown}2"]
-    read = meshio.read(tmp_path / "r.vtu")
-    np.testing.assert_array_equal(read.point_data["displacement"][:, :2], result.displacement)
-    assert [int(value[0]) for value in read.field_data.values()] == [0, 1, 0]
 
 
 def _steps(count: int) -> list:
