@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
-from adaptmg.geometry.search import STACK, BoxTree, leaf_range, nearest_simplex, padded
+from adaptmg.geometry.search import STACK, BoxTree, leaf_range, padded
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +31,13 @@ class SimplexLocator:
     elements there: its interpolation weights do not depend on which."""
 
     def __init__(self, points: np.ndarray, elements: np.ndarray, chosen: np.ndarray | None = None) -> None:
-        chosen = np.arange(len(elements)) if chosen is None else chosen
+        self.chosen = np.arange(len(elements), dtype=np.int32) if chosen is None else chosen.astype(np.int32)
         self.dim, self.n_nodes = points.shape[1], len(points)
-        self.tree = BoxTree(points, elements[chosen])
-        self.element_of = chosen[self.tree.order].astype(np.int32)
+        self.tree = BoxTree(points, elements[self.chosen])
         self.maps = affine_maps(self.tree.points, self.tree.simplices)
         if not np.isfinite(self.maps.sum()) and (bad := ~np.isfinite(self.maps).all(axis=1)).any():
-            raise ValueError(f"mesh: element {self.element_of[np.argmax(bad)]} has no volume; remove degenerate "
-                             "elements")
+            element = self.chosen[self.tree.order[np.argmax(bad)]]
+            raise ValueError(f"mesh: element {element} has no volume; remove degenerate elements")
 
     def locate(self, points: np.ndarray) -> Location:
         """Find points."""
@@ -48,17 +47,21 @@ class SimplexLocator:
         if not np.isfinite(queries).all():
             raise ValueError(f"points must be finite; point {np.argmin(np.isfinite(queries).all(axis=1))} is not")
         n = len(queries)
-        found = np.empty(n, dtype=np.int64)
-        weights, distance = np.empty((n, self.dim + 1)), np.empty(n)
-        # about as long as it takes to read this many numbers
-        size = 20 * n
-        in_parts(locate, n, size, padded(queries), self.tree.points, self.tree.simplices, self.maps, self.tree.boxes,
-                 found, weights, distance, joined=False)
-        return Location(element=self.element_of[found], weights=weights, distance=distance)
+        holder, weights, distance = np.empty(n, dtype=np.int64), np.empty((n, self.dim + 1)), np.zeros(n)
+        # about as long as it takes to read 20 numbers a point
+        in_parts(locate, n, 20 * n, padded(queries), self.maps, self.tree.boxes, holder, weights, joined=False)
+        element = self.tree.order[holder]
+        if len(outside := np.flatnonzero(holder < 0)):
+            element[outside], weights[outside], distance[outside] = self.tree.nearest(queries[outside])
+            # rounding may put a point on an edge outside of every box and element around it
+            lower, upper = self.tree.boxes[0].reshape(2, -1)
+            distance[distance <= INSIDE * (upper - lower).max()] = 0.0
+        return Location(element=self.chosen[element], weights=weights, distance=distance)
 
 
 INSIDE = 1e-12
-"""A point counts as inside an element when no barycentric weight is below minus this."""
+"""A point counts as inside an element when no barycentric weight is below minus this, or its distance is less than this
+part of the extent of the mesh."""
 _ROUNDING = 4 * np.finfo(np.float64).eps
 
 
@@ -126,26 +129,16 @@ def _holder(x, y, z, maps, boxes, dim, stack):
 
 
 @kernel
-def locate(first, last, queries, points, elements, maps, boxes, found, weights, distance):
-    """Locate ``queries[first:last]`` (n, 3); points outside get the closest point of the mesh."""
-    k = elements.shape[1]
-    dim = k - 1
-    trial, candidate = np.empty(k), np.empty(k)
+def locate(first, last, queries, maps, boxes, holder, weights):
+    """Find the position of an element that holds each of ``queries[first:last]`` (n, 3), -1 if there is none."""
+    dim = weights.shape[1] - 1
     stack = np.empty(STACK, dtype=np.int64)
     for q in range(first, last):
         # numbers, not slices: making a slice costs more than looking into an element
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        best = _holder(x, y, z, maps, boxes, dim, stack)
-        distance[q] = 0.0
-        if best >= 0:
-            _take_clipped(maps, best, x, y, z, dim, q, weights)
-        else:
-            best, squared = nearest_simplex(queries[q], points, elements, boxes, dim, weights[q], trial, candidate,
-                                            stack)
-            # rounding may put a point on an edge outside of every box and element around it
-            if not _inside(maps, best, x, y, z, dim):
-                distance[q] = np.sqrt(squared)
-        found[q] = best
+        holder[q] = _holder(x, y, z, maps, boxes, dim, stack)
+        if holder[q] >= 0:
+            _take_clipped(maps, holder[q], x, y, z, dim, q, weights)
 
 
 @inner_kernel

@@ -119,45 +119,37 @@ def _box_distance(boxes, node, x, dim):
     return total
 
 
-@inner_kernel
-def nearest_simplex(x, points, simplices, boxes, dim, weights, trial, candidate, stack):
-    """Find position and squared distance of the simplex nearest to ``x`` (3,); write weights of the closest point."""
+@kernel
+def _nearest(queries, points, simplices, boxes, dim, found, weights, distances):
+    """Find position and distance of the simplex nearest to each query (n, 3), and weights of the closest point."""
     n, k = simplices.shape
     n_leaves = (len(boxes) + 1) // 2
-    best, best_distance = -1, np.inf
-    stack[0] = 0
-    depth = 1
-    while depth > 0:  # each node of the tree comes once
-        depth -= 1
-        node = stack[depth]
-        if not _box_distance(boxes, node, x, dim) < best_distance:
-            continue
-        if node < n_leaves - 1:
-            left, right = 2 * node + 1, 2 * node + 2
-            if _box_distance(boxes, left, x, dim) < _box_distance(boxes, right, x, dim):
-                left, right = right, left
-            stack[depth], stack[depth + 1] = left, right
-            depth += 2
-            continue
-        first, last = leaf_range(node, n_leaves, n)
-        for s in range(first, last):
-            distance = closest_on_simplex(points, simplices[s], x, candidate, trial)
-            if distance < best_distance:
-                best, best_distance = s, distance
-                for m in range(k):
-                    weights[m] = candidate[m]
-    return best, best_distance
-
-
-@kernel
-def _nearest_all(queries, points, simplices, boxes, dim, found, weights, distances):
-    k = simplices.shape[1]
     trial, candidate = np.empty(k), np.empty(k)
     stack = np.empty(STACK, dtype=np.int64)
     for q in range(len(queries)):
-        found[q], squared = nearest_simplex(queries[q], points, simplices, boxes, dim, weights[q], trial, candidate,
-                                            stack)
-        distances[q] = np.sqrt(squared)
+        x, best = queries[q], np.inf
+        stack[0] = 0
+        depth = 1
+        while depth > 0:  # each node of the tree comes once
+            depth -= 1
+            node = stack[depth]
+            if not _box_distance(boxes, node, x, dim) < best:
+                continue
+            if node < n_leaves - 1:
+                left, right = 2 * node + 1, 2 * node + 2
+                if _box_distance(boxes, left, x, dim) < _box_distance(boxes, right, x, dim):
+                    left, right = right, left
+                stack[depth], stack[depth + 1] = left, right
+                depth += 2
+                continue
+            first, last = leaf_range(node, n_leaves, n)
+            for s in range(first, last):
+                distance = closest_on_simplex(points, simplices[s], x, candidate, trial)
+                if distance < best:
+                    found[q], best = s, distance
+                    for m in range(k):
+                        weights[q, m] = candidate[m]
+        distances[q] = np.sqrt(best)
 
 
 @inner_kernel
@@ -235,7 +227,7 @@ class BoxTree:
         n = len(queries)
         found = np.empty(n, dtype=np.int64)
         weights, distance = np.empty((n, self.simplices.shape[1])), np.empty(n)
-        _nearest_all(padded(queries), self.points, self.simplices, self.boxes, self.dim, found, weights, distance)
+        _nearest(padded(queries), self.points, self.simplices, self.boxes, self.dim, found, weights, distance)
         return self.order[found], weights, distance
 
     def meeting(self, frames: np.ndarray, origins: np.ndarray, low: np.ndarray, high: np.ndarray
