@@ -83,8 +83,8 @@ class Hierarchy:
             shape = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
                 shape = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
-            for name, matrix in (("prolongation", vars(fine)["prolongation"]),
-                                 ("surface_prolongation", fine.contact_prolongation)):
+            own, other = vars(fine)["prolongation"], fine.surface_prolongation
+            for name, matrix in (("prolongation", own), ("surface_prolongation", own if other is None else other)):
                 if matrix is None or matrix.shape != shape:
                     raise ValueError(f"levels[{k}].{name} must have shape {shape} (fine, coarse), got "
                                      f"{None if matrix is None else matrix.shape}")
