@@ -208,10 +208,11 @@ def test_indices_that_kernels_follow_cannot_be_written():
     bare = am.DiscreteProblem(matrix=discrete.matrix.copy(), load=discrete.load, fixed=discrete.fixed, law=discrete.law,
                               contact=discrete.contact)
     made = am.Hierarchy.from_prolongations(bare, given)
-    single = am.Level(bare, prolongation=given[-1])
-    for level in (*grids.levels, *made.levels, single):
+    single, bodies = am.Level(bare, prolongation=given[-1]), am.Hierarchy.graded(JOINT, (12e-3, 6e-3))
+    for level in (*grids.levels, *made.levels, single, *bodies.levels):
         for matrix in (level.matrix, vars(level)["prolongation"], level.surface_prolongation):
             for array in () if matrix is None else (matrix.indices, matrix.indptr):
+                assert array.dtype == np.int32
                 with pytest.raises(ValueError, match="read-only"):
                     array[0] = 2**30
     given[-1].indices[0] = 0
