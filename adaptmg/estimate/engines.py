@@ -84,7 +84,7 @@ def sound_mesh(engine: Engine, method: str, problem: ContactProblem, made: objec
 _TRIES = 12
 #: the part of the room that must be used, and that is aimed at
 _ENOUGH, _AIM = 0.9, 0.95
-#: nodes that a mark adds by dimension, and the power of the number of marks by which nodes grow, as first assumed
+#: nodes that a mark adds by dimension, and the power of the number of marks by which nodes grow
 _NODES, _POWER = {2: 1.9, 3: 2.5}, 0.8
 #: elements are halved twice where once leaves more than this part of the mean square, and of the smallest marked one
 _LEFT = 0.5
@@ -160,10 +160,10 @@ class Bisect:
         order = np.flatnonzero(marked)
         order = order[np.argsort(-squares[order], kind="stable")]
         room, most, fits, best = limit - mesh.n_nodes, len(order) + 1, 0, None
-        count, tried, expected = len(order), (0, 0), _NODES[mesh.dim] * len(order)
+        count, expected = len(order), _NODES[mesh.dim] * len(order)
         if 0 < room < expected / 1.2:
             count = max(int(count * (_AIM * room / expected) ** (1 / _POWER)), 1)
-        for attempt in range(_TRIES if room > 0 else 0):
+        for _ in range(_TRIES if room > 0 else 0):
             chosen = np.zeros(len(marked), dtype=bool)
             chosen[order[:count]] = True
             fine = self._halved(mesh, squares, chosen, limit)
@@ -174,13 +174,8 @@ class Bisect:
                 most = count
             if most <= fits + 1 or _ENOUGH * room <= added <= room:
                 break
-            # the closure makes the first marks cost most: nodes grow like a power of their number, fitted to two tries
-            power = (np.log(added / tried[1]) / np.log(count / tried[0])) if attempt and added != tried[1] else _POWER
-            aim = count * (_AIM * room / added) ** (1 / np.clip(power, 0.2, 1.5))
-            if best is None and attempt > 2:
-                aim = min(aim, count / 4)
-            tried = count, added
-            count = int(min(max(aim, fits + 1), most - 1))
+            # the closure makes the first marks cost most: nodes grow like a power of their number
+            count = int(min(max(count * (_AIM * room / added) ** (1 / _POWER), fits + 1), most - 1))
         return best
 
 

@@ -153,14 +153,6 @@ def test_small_shares_of_a_quantity_are_not_rounding():
     assert len(both) > 1 and "max_nodes" in both[-1].outcome
 
 
-def test_estimates_that_do_not_fall_end_the_loop_on_fine_meshes():
-    found = loop(indicator=Scripted(*[{}] * 20, square=lambda n: min(n, 800) ** 2 / n**1.5), max_nodes=1500)
-    squares = [step.estimate.squares.sum() for step in found]
-    assert squares[1] > squares[0] and "max_nodes" in found[-1].outcome
-    found = loop(indicator=Constant(), max_nodes=100_000)
-    assert "no progress" in found[-1].outcome and found[-1].nodes < 20_000
-
-
 @pytest.mark.parametrize("engine", [BISECT, am.Remesh()])
 def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
     problem = upset()

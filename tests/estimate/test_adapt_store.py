@@ -188,12 +188,3 @@ def test_a_full_disk_is_said_with_the_file(tmp_path, monkeypatch):
         next(steps)
     assert [file.name for file in tmp_path.glob("*0001*")] == []
     assert len(list(loop(tmp_path))) > 1
-
-
-def test_folders_of_something_else_are_refused(copied):
-    for change, message in ((lambda: (copied / "step_0000.npz").unlink(), "missing"),
-                            (lambda: (copied / "loop.json").unlink(), r"holds no steps: there is no loop\.json"),
-                            (lambda: shutil.rmtree(copied) or copied.write_text(""), "folder")):
-        change()
-        with pytest.raises(ValueError, match=message):
-            list(loop(copied))
