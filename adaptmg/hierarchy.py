@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
 Divisions = int | tuple[int, ...]
+_MOST_LEVELS = 40  # as of a range that is meant for one number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,7 +103,7 @@ class Hierarchy:
     def uniform(cls, problem: ContactProblem, divisions: Sequence[Divisions | Mapping[str, Divisions]]) -> Hierarchy:
         """Return structured grids of a rectangle or box.
 
-        ValueError for what :func:`adaptmg.mesh.structured` refuses.
+        ValueError for what :func:`adaptmg.mesh.structured` refuses, and more than 40 levels.
 
         Parameters
         ----------
@@ -117,6 +118,8 @@ class Hierarchy:
 
         need_domain(problem)
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))
+        if len(divisions) > _MOST_LEVELS:
+            raise ValueError(f"divisions must be at most {_MOST_LEVELS} levels, got {len(divisions)}")
         domain = cast("Rectangle | Box | Assembly", problem.domain)
         warn_of_stretched(domain, divisions[-1])
         return cls._build(problem, lambda: [lattices(domain, n) for n in divisions], None,
