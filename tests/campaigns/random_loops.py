@@ -4,9 +4,9 @@
 
 Blocks and pairs, re-entrant corners, arcs, stacks of several pairs, friction that varies in space, and the cases of the
 package; every marking and indicator, and goals. Of every step: the status, the certificate, the mesh in plain numpy,
-the algebraic error and the estimate against those of the exact discrete solution by another method; of the loop: its end,
-the estimate against the error to a finer mesh, and that it goes on from its store with the same bits after it was broken
-off at a random step.
+the algebraic error and the estimate against those of the exact discrete solution by another method; of the loop: its
+end, the estimate against the error to a finer mesh, and that it goes on from its store with the same bits after it was
+broken off at a random step.
 """
 
 from __future__ import annotations
