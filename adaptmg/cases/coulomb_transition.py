@@ -83,8 +83,10 @@ def coulomb_transition(*, law: am.Coulomb = am.Coulomb(0.5), kind: str = "open",
 
 def _field(kind: str, away: bool, friction: float, pressure: float, material: am.PlaneStrain) -> TransitionField:
     """The mode with a sign, a size and a uniform part that make all states admissible."""
-    a, b, _ = transition_mode(kind, friction, material.poisson, away)
-    exponent, direction = transition_exponent(friction, material.poisson, away), 1.0 if away else -1.0
+    poisson, direction = material.poisson, 1.0 if away else -1.0
+    beta = (1 - 2 * poisson) / (2 * (1 - poisson))
+    exponent = 1.5 + direction * math.atan(friction * beta) / math.pi
+    a, b = _mode(kind, friction, poisson, exponent, direction)
     mode = TransitionField(material=material, exponent=exponent, a=a, b=b)
     right, left = (mode.stress(np.array([[x, 0.0]]))[0] for x in (1.0, -1.0))
     if kind == "open":
@@ -100,25 +102,17 @@ def _field(kind: str, away: bool, friction: float, pressure: float, material: am
     return replace(field, shift=direction * math.ceil(2e6 * slip) * 1e-6)
 
 
-def transition_exponent(friction: float, poisson: float, away: bool) -> float:
-    """Return lambda: 3/2 plus (slip away from the transition) or minus atan(f beta) / pi."""
-    beta = (1 - 2 * poisson) / (2 * (1 - poisson))
-    return 1.5 + (1 if away else -1) * math.atan(friction * beta) / math.pi
-
-
-def transition_mode(kind: str, friction: float, poisson: float, away: bool) -> tuple[complex, complex, float]:
-    """Return a and b of the mode, and the smallest over the largest singular value of the conditions."""
-    exponent, sign = transition_exponent(friction, poisson, away), 1.0 if away else -1.0
+def _mode(kind: str, friction: float, poisson: float, exponent: float, direction: float) -> tuple[complex, complex]:
+    """The coefficients a and b: the null vector of the conditions on both sides of the transition."""
     ends = np.array([1.0 + 0.0j, -1.0 + 0.0j])
     columns = []
     for a, b in ((1, 0), (1j, 0), (0, 1), (0, 1j)):
         u = _displacement(ends, exponent, a, b, poisson)
         s = _stress(ends, exponent, a, b)
         left = (s[1, 1], s[1, 2]) if kind == "open" else (u[1].real, u[1].imag)
-        columns.append([u[0].imag, s[0, 2] + sign * friction * s[0, 1], *left])
-    _, sizes, rows = np.linalg.svd(np.array(columns, dtype=float).T)
-    null = rows[-1]
-    return complex(null[0], null[1]), complex(null[2], null[3]), float(sizes[-1] / sizes[0])
+        columns.append([u[0].imag, s[0, 2] + direction * friction * s[0, 1], *left])
+    null = np.linalg.svd(np.array(columns, dtype=float).T)[2][-1]
+    return complex(null[0], null[1]), complex(null[2], null[3])
 
 
 @dataclass(frozen=True, kw_only=True)

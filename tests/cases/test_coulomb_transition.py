@@ -7,7 +7,6 @@ import pytest
 from refused import refused
 
 import adaptmg as am
-from adaptmg.cases.coulomb_transition import transition_mode
 
 KINDS = [(kind, sign) for kind in ("open", "stick") for sign in ("+", "-")]
 SOLVER = am.FullMultigrid(rtol=1e-9)
@@ -16,14 +15,6 @@ SOLVER = am.FullMultigrid(rtol=1e-9)
 def made(kind, sign, friction=0.5, poisson=0.2):
     problem = am.cases.coulomb_transition(law=am.Coulomb(friction), kind=kind, sign=sign, poisson=poisson)
     return problem, problem.reference["field"], 1.0 if sign == "+" else -1.0
-
-
-@pytest.mark.parametrize(("kind", "sign"), KINDS)
-def test_exponents_are_eigenvalues(kind, sign):
-    for friction, poisson in ((0.5, 0.2), (1.0, 0.3), (2.0, 0.0), (0.1, 0.45)):
-        assert transition_mode(kind, friction, poisson, sign == "+")[2] < 1e-14
-        exponent = made(kind, sign, friction, poisson)[0].reference["exponent"]
-        assert (exponent > 1.5) == (sign == "+") and 1.2 < exponent < 1.9
 
 
 @pytest.mark.parametrize(("kind", "sign"), KINDS)
@@ -49,10 +40,11 @@ def test_equilibrium_and_the_law_of_elasticity(kind, sign):
     assert np.abs(balance).max() < 1e-9 * np.abs(along_x).max()
 
 
-@pytest.mark.parametrize(("friction", "poisson"), [(0.5, 0.2), (2.0, 0.1)])
+@pytest.mark.parametrize(("friction", "poisson"), [(0.5, 0.2), (2.0, 0.0), (0.1, 0.45)])
 @pytest.mark.parametrize(("kind", "sign"), KINDS)
 def test_contact_conditions_hold_along_the_plane(kind, sign, friction, poisson):
     _, field, direction = made(kind, sign, friction, poisson)
+    assert (field.exponent > 1.5) == (sign == "+") and 1.2 < field.exponent < 1.9
     s = np.linspace(1e-6, 1, 400)
     slips, rest = np.column_stack([s, 0 * s]), np.column_stack([-s, 0 * s])
     u, stress = field.displacement(slips), field.stress(slips)
