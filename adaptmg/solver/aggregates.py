@@ -182,7 +182,7 @@ class CoarseCorrection:
 
     def __init__(self, matrix: sparse.bsr_array, basis: sparse.bsr_array, nodes: np.ndarray, stiffening: np.ndarray
                  ) -> None:
-        self._basis, (_, dim, modes) = basis, basis.data.shape
+        self._basis, self._transposed, (_, dim, modes) = basis, basis.T, basis.data.shape
         # a narrow band
         pairs = sparse.csr_array((np.ones(len(basis.indices), dtype=bool), basis.indices, basis.indptr))
         graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr))
@@ -208,7 +208,7 @@ class CoarseCorrection:
         """Return the coarse correction (n_dofs,) of a residual."""
         if self._factor is None:
             return np.zeros_like(residual)
-        sums = (self._basis.T @ residual)[self._order]
+        sums = (self._transposed @ residual)[self._order]
         values = np.empty_like(sums)
         values[self._order] = linalg.cho_solve_banded((self._factor, True), sums, check_finite=False)
         return self._basis @ values
