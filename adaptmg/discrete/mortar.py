@@ -50,7 +50,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.mortar_parts import Parts, Surfaces, covered_parts
+from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces, covered_parts
 from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.surfaces import ContactPair
@@ -238,7 +238,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
                            closest=closest[nodes])
 
 
-def _dual_functions(parts: Parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _dual_functions(parts: CoveredParts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Measures (n_slave,) of what is covered of slave facets, shape functions (n_slave, dim) at the centroids of that,
     and dual functions (n, n_points, dim)."""
     measure, centroid, off, covariance = parts.means()

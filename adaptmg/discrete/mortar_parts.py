@@ -76,7 +76,7 @@ class Surfaces:
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class CoveredParts:
     """Covered parts of slave facets with points to integrate by. Places are coordinates along a slave facet, relative
     to any point of it: so those of small parts lose no digits."""
 
@@ -89,7 +89,7 @@ class Parts:
     corners: np.ndarray  # (n_slave, dim, dim - 1): places of the corners of all slave facets
     enough: np.ndarray  # (n_slave,) bool: more than a sliver of the slave facet is covered
 
-    def only(self, kept: np.ndarray) -> Parts:
+    def only(self, kept: np.ndarray) -> CoveredParts:
         """Return some of the parts."""
         return replace(self, **{name: getattr(self, name)[kept] for name in (
             "slave", "master", "places", "weights", "shapes", "distances")})
@@ -114,7 +114,7 @@ class Parts:
         return measure, centroid, off, covariance
 
 
-def covered_parts(surfaces: Surfaces, reach: float | None) -> Parts:
+def covered_parts(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     """Return the parts of a slave surface with the master surface opposite."""
     return (_parts_of_edges if surfaces.points.shape[1] == 2 else _parts_of_triangles)(surfaces, reach)
 
@@ -130,7 +130,7 @@ _LEAST_OF_EDGE = 1e-3  # of an edge: less is left out
 _GAUSS = np.polynomial.legendre.leggauss(4)
 
 
-def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> Parts:
+def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     """The covered parts of slave edges."""
     edge, facet, ends = _pieces(surfaces, *surfaces.depths(reach))
     covered = np.bincount(edge, ends[:, 1] - ends[:, 0], minlength=len(surfaces.slave))
@@ -145,7 +145,7 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> Parts:
         measure = measure * (2 * np.pi * np.maximum(x[:, :1] + s * e[:, :1], 0.0))
     eta, distance = _opposite(surfaces, slave, master, s)
     corners = np.stack([-origin, 1 - origin], axis=1)[..., None]
-    return Parts(edge, facet, offset[..., None], measure, np.stack([1 - eta, eta], axis=2), distance, corners,
+    return CoveredParts(edge, facet, offset[..., None], measure, np.stack([1 - eta, eta], axis=2), distance, corners,
                  covered >= _LEAST_OF_EDGE)
 
 
@@ -292,7 +292,7 @@ _STRIP = 1e-3  # a covariance S of a smaller ratio det(S) / trace(S)^2 is taken 
 _POINTS = np.sqrt(2) * np.array([np.cos([0, 2 * np.pi / 3, 4 * np.pi / 3]), np.sin([0, 2 * np.pi / 3, 4 * np.pi / 3])])
 
 
-def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> Parts:
+def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     """The visible common parts of slave and master triangles."""
     depths, frames = surfaces.depths(reach), _frames(surfaces)
     start, found = _triangles_near(surfaces, frames, *depths)
@@ -341,7 +341,7 @@ def _triangles_near(surfaces: Surfaces, frames: np.ndarray, backward: float, for
 
 
 def _common_parts(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, found: np.ndarray, backward: float,
-                  forward: float) -> Parts:
+                  forward: float) -> CoveredParts:
     """The visible common parts."""
     origins, local = _local(surfaces, frames)
     slave = np.repeat(np.arange(len(frames)), np.diff(start))
@@ -368,7 +368,7 @@ def _common_parts(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, fou
     origin = np.zeros((len(frames), 2))
     origin[slave] = at
     covered = np.bincount(slave, weights.sum(axis=1), minlength=len(frames))
-    return Parts(slave, master, (at - origin[slave])[:, None] + steps, weights, shapes, distances,
+    return CoveredParts(slave, master, (at - origin[slave])[:, None] + steps, weights, shapes, distances,
                  local[..., :2] - origin[:, None], covered >= _LEAST_OF_TRIANGLE * surfaces.slave_side.measures)
 
 

@@ -18,7 +18,6 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg._on_demand import OnDemand, made_on_demand
 from adaptmg._text import shortened
-from adaptmg._threads import in_parts
 
 if TYPE_CHECKING:
     import ngsolve
@@ -216,8 +215,7 @@ class MeshArrays:
     @cached_property
     def volumes(self) -> np.ndarray:
         """Signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
-        return np.concatenate(in_parts(_measures_of_part, len(self.elements), 8 * len(self.elements), self.points,
-                                       self.elements))
+        return signed_measures(self.points, self.elements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,10 +314,6 @@ def _check_labels(mesh: MeshArrays) -> None:
             raise ValueError(f"{name} must index {what} ({len(names)} names), got {index.min()} to {index.max()}")
         if len(set(names)) < len(names):
             raise ValueError(f"{what} must be distinct, got {names}")
-
-
-def _measures_of_part(first: int, last: int, points: np.ndarray, elements: np.ndarray) -> np.ndarray:
-    return signed_measures(points, elements[first:last])
 
 
 def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
