@@ -404,9 +404,8 @@ def test_a_slave_that_is_held_along_its_whole_surface_is_refused():
         grids(held, 2, 8, 5)
     with pytest.raises(ValueError, match=r"slave node .* has a supported tangential component"):
         discrete = grids(pad(2, friction=0.0), 2, 8, 5).finest.discrete
-        am.DiscreteProblem.coupled(
-            matrix=discrete.matrix, load=discrete.load, fixed=discrete.fixed, law=am.Coulomb(0.4),
-            contact=discrete.contact, weights=discrete.coupling.weights)
+        am.DiscreteProblem(matrix=discrete.matrix, load=discrete.load, fixed=discrete.fixed, law=am.Coulomb(0.4),
+                           contact=discrete.contact).coupled(discrete.coupling.weights)
 
 
 @pytest.mark.parametrize(("law", "pull"), [(am.Coulomb(0.4), 1e-7), (am.Coulomb(0.4), 2e-5), (am.Tresca(1.5e7), 1e-7)],
