@@ -223,31 +223,23 @@ def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
     return _made(partial(make, task), values, "hierarchy.", what)
 
 
-@dataclass(frozen=True)
-class Solved:
-    """What the settings of a run give."""
-
-    result: Result  # of the last step
-    grids: am.Hierarchy  # of the last step
-    steps: list[am.Step]  # of an adaptive loop
-
-
 def solved(settings: Mapping[str, Arguments], callback: Callable[[dict[str, float]], None] | None = None,
-           each: Callable[[am.Step], None] | None = None, store: str | os.PathLike[str] | None = None) -> Solved:
-    """Solve once, or on meshes that follow the error. ``callback`` is given the progress, ``each`` every step of an
-    adaptive loop, which ``store`` keeps."""
+           each: Callable[[am.Step], None] | None = None, store: str | os.PathLike[str] | None = None
+           ) -> tuple[Result, am.Hierarchy, list[am.Step]]:
+    """Solve once, or on meshes that follow the error; return the last result, its grids, and the steps of the loop.
+    ``callback`` is given the progress, ``each`` every step, which ``store`` keeps."""
     problem = problem_of(settings["case"])
     if not settings["adapt"]:
         # the method first: what is refused is refused before anything is meshed
         solver, levels = solver_of(settings["solver"]), grids(problem, settings["hierarchy"])
-        return Solved(am.solve(levels, solver, throw=False, callback=callback), levels, [])
+        return am.solve(levels, solver, throw=False, callback=callback), levels, []
     steps = []
     for step in _made(partial(am.adapt, problem, progress=callback, store=store), settings["adapt"], "adapt.",
                       "this loop"):
         steps.append(step)
         if each is not None:
             each(step)
-    return Solved(steps[-1].result, steps[-1].hierarchy, steps)
+    return steps[-1].result, steps[-1].hierarchy, steps
 
 
 def case_facts(name: str) -> dict[str, object]:

@@ -171,13 +171,12 @@ def _solve(parsed: Namespace) -> int:
 
     settings, folder = _settings(parsed), output.folder(parsed.out)
     with output.watched() as callback:
-        solved = build.solved(settings, callback)
-    files = output.write(folder, solved)
-    result = solved.result
+        result, grids, _ = build.solved(settings, callback)
+    files = output.write(folder, result, grids, [])
     if parsed.json:
         _print_json(output.summary(result, files))
     else:
-        _say("\n".join([str(solved.grids), "", str(result), *(f"wrote {file}" for file in files)]))
+        _say("\n".join([str(grids), "", str(result), *(f"wrote {file}" for file in files)]))
     if not result.status.ok:
         _say(f"adaptmg: not converged ({result.status.name}): {result.status.value}", err=True)
     return int(not result.status.ok)
@@ -191,13 +190,12 @@ def _adapt(parsed: Namespace) -> None:
     with output.watched() as progress:
         # lines would run into the bar: they wait until it ends
         say = waiting.append if parsed.json or progress is not None else _say
-        solved = build.solved(settings, progress, each=lambda step: say(repr(step)), store=parsed.store)
-    files = output.write(folder, solved)
+        result, grids, steps = build.solved(settings, progress, each=lambda step: say(repr(step)), store=parsed.store)
+    files = output.write(folder, result, grids, steps)
     if parsed.json:
-        _print_json(output.loop_summary(solved.steps, files))
+        _print_json(output.loop_summary(steps, files))
     else:
-        _say("\n".join([*waiting, solved.steps[-1].outcome, "", str(solved.result),
-                        *(f"wrote {file}" for file in files)]))
+        _say("\n".join([*waiting, steps[-1].outcome, "", str(result), *(f"wrote {file}" for file in files)]))
 
 
 def _study(parsed: Namespace) -> int:

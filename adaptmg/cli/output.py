@@ -7,16 +7,12 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, write_bytes
-
-if TYPE_CHECKING:
-    from adaptmg.cli.build import Solved
 
 
 def finite(value: object) -> object:
@@ -95,7 +91,7 @@ def folder(given: Path | None) -> Path | None:
     return given and given.expanduser()
 
 
-def write(directory: Path | None, solved: Solved) -> list[Path]:
+def write(directory: Path | None, result: am.Result, grids: am.Hierarchy, steps: list[am.Step]) -> list[Path]:
     """Write result, pictures and VTK file into a directory, if there is one; return the files."""
     if directory is None:
         return []
@@ -104,18 +100,17 @@ def write(directory: Path | None, solved: Solved) -> list[Path]:
     matplotlib.use("Agg")
     from adaptmg.export.report import small_png
 
-    result = solved.result
     files = [directory / "result.npz", directory / "result.vtu"]
     result.save(files[0])
     am.export.vtk(result, files[1])
-    pictures = {"problem": lambda: am.plot.problem(solved.grids.problem), "grids": lambda: am.plot.grids(solved.grids),
+    pictures = {"problem": lambda: am.plot.problem(grids.problem), "grids": lambda: am.plot.grids(grids),
                 "deformed": lambda: am.plot.deformation(result, displacement=True),
                 "contact": lambda: am.plot.contact(result),
                 "stress": lambda: am.plot.deformation(result, stress=True, states=True)}
     if len(result.history.get("cycle", ())) > 1:
         pictures["history"] = lambda: am.plot.history(result)
-    if solved.steps:
-        pictures["adaptation"] = lambda: am.plot.adaptation(solved.steps)
+    if steps:
+        pictures["adaptation"] = lambda: am.plot.adaptation(steps)
     if result.path:
         pictures["cycles"] = lambda: am.plot.path(result)
     for name, draw in pictures.items():

@@ -1,15 +1,13 @@
 """Runs on workers of dask.distributed: on processes of this machine, or on a cluster of the user.
 
 A run is sent when a worker is free, so that the run of a worker that dies is identified; dask tries it again. Results
-come back through dask: workers need no disk in common with this process.
-
-This process decides that a run is over its time: the clock starts when the worker reports that the run begins. The run
-is cancelled, and dask's nanny kills the process, even one in compiled code, and starts another. A nanny also ends a
-worker that holds too much memory, and reports it.
+come back through dask: workers need no disk in common with this process. This process decides that a run is over its
+time, from when the worker reports that it begins; dask's nanny kills the worker, even in compiled code, and starts
+another, as it does for a worker that holds too much memory.
 
 Processes of this machine are a scheduler in this process, and a ``dask worker`` with its nannies: a process of its own,
-so that the workers run no script of the user again. Scheduler and workers accept only who has the certificate that is
-made for them, and there is no dashboard. All end when this process does, which closes their standard input.
+so that the workers run no script of the user again. They accept only who has the certificate that is made for them, and
+end when this process does, which closes their standard input.
 """
 
 from __future__ import annotations
@@ -133,8 +131,7 @@ def _kill_children(process: int) -> None:
 
 
 def dask_setup(nanny: Nanny) -> None:
-    """End this process and its workers with the process of the study, even in compiled code that holds Python's lock:
-    its end closes standard input. dask calls this for each nanny."""
+    """End this process and its workers when standard input is closed. dask calls this for each nanny."""
     def watch() -> None:
         sys.stdin.buffer.read()
         _kill_children(os.getpid())
@@ -209,9 +206,8 @@ def _ready(order: bytes) -> tuple[RunFunction, bool]:
 
 
 def _on_worker(order: bytes, point: Point, name: str, topic: str) -> Finished:
-    """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts. A function
-    that holds Python's lock would keep a report that is only on its way."""
-    worker = get_worker()
+    """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts."""
+    worker = get_worker()  # sync: a function that holds Python's lock would keep a report that is on its way
     return execute.perform(*_ready(order), point, lambda: topic and sync(
         worker.loop, worker.scheduler.log_event, topic=topic, msg={"run": name, "worker": worker.address}))
 

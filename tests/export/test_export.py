@@ -116,13 +116,3 @@ def test_the_list_of_a_series_is_written_last(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="disk full"):
         vtk_series(_steps(2), tmp_path / "run.pvd")
     assert not (tmp_path / "run.pvd").exists()
-
-
-@pytest.mark.parametrize(("call", "error", "message"), [
-    (lambda to: vtk(result_on(None), to / "r.vtu"), ValueError, "no mesh"),
-    (lambda to: vtk_series([], to / "run.pvd"), ValueError, "at least one step"),
-    (lambda to: vtk_series(_steps(1), to / "run.vtu"), ValueError, r"must end in \.pvd")])
-def test_bad_arguments_are_refused_and_nothing_is_written(tmp_path, call, error, message):
-    with pytest.raises(error, match=message):
-        call(tmp_path)
-    assert not list(tmp_path.iterdir())
