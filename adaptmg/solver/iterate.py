@@ -269,54 +269,57 @@ class Measure:
         return State(cycles, natural, forces, size, floor, idle, change, settled=settled, columns=columns)
 
 
+@dataclass(eq=False)
 class Smoothing:
     """Sweeps or cycles from ``unknowns``, in place, measured by the residual after each smoothing."""
 
-    def __init__(self, measure: Measure, unknowns: np.ndarray) -> None:
-        self.measure, self.unknowns, self.cycles = measure, unknowns, 0
-        self._residual: np.ndarray | None = None
+    measure: Measure
+    unknowns: np.ndarray
+    smooth: Callable[[int], int]  # after a number of cycles; returns the sweeps that count
+    residual: Callable[[], np.ndarray]  # b - A w (n_dofs,)
+    correct: Callable[[np.ndarray], object] | None = None  # a cycle for an iterate with this residual
+    cycles: int = 0
+    _last: np.ndarray | None = None
 
-    def smooth(self) -> int:
-        """Smooth; returns the sweeps that count."""
-        raise NotImplementedError
+    def step(self) -> State:
+        if self._last is not None:
+            self.cycle(self._last)
+        self.cycles += self.smooth(self.cycles)
+        self._last = self.residual()
+        return self.measure(self.cycles, self.unknowns, self._last)
 
-    def residual(self) -> np.ndarray:
-        """Return b - A w (n_dofs,)."""
-        raise NotImplementedError
+    def cycle(self, r: np.ndarray) -> None:
+        if self.correct is not None:
+            self.correct(r)
+            self.cycles += 1
 
-    def correct(self, r: np.ndarray) -> int:
-        """Correct an iterate with residual r; returns the cycles that count."""
-        raise NotImplementedError
+    def solve(self, stop: str, rtol: float, limit: int, run: Run, shortfall: Callable[[float], float],
+              stalled: Status = Status.STALLED) -> tuple[Status, StopTest]:
+        """Iterate until the error (``stop="error"``) is small, or the change; the residual then confirms it or not."""
+        if stop == "error":
+            test = StopTest(rtol, limit, shortfall, stalled)
+            return iterate(self, test, run), test
+        test = ChangeTest(rtol, limit)
+        status = iterate(WholeSteps(self), test, run)
+        if status is not Status.DIVERGED:
+            status = test.confirmed(status, self.measure(self.cycles, self.unknowns, self.residual()), run)
+        return status, test
 
-    def step(self) -> State | Status:
-        if self._residual is not None:
-            self.cycles += self.correct(self._residual)
-        self.cycles += self.smooth()
-        self._residual = self.residual()
-        return self.measure(self.cycles, self.unknowns, self._residual)
 
-
+@dataclass(eq=False)
 class WholeSteps:
     """The same measured by what each sweep or cycle changes, the paper's test at the end of step g."""
 
-    def __init__(self, smoothing: Smoothing, corrects: bool) -> None:
-        self.smoothing, self.corrects = smoothing, corrects
+    smoothing: Smoothing
 
     def step(self) -> State:
         one, state = self.smoothing, State(0)
         before = one.unknowns.copy()
-        one.cycles += one.smooth()
-        if self.corrects:
+        one.cycles += one.smooth(one.cycles)
+        if one.correct is not None:
             r = one.residual()
             state = one.measure(0, one.unknowns, r)
-            one.cycles += one.correct(r)
+            one.cycle(r)
         size = euclidean_norm(one.unknowns)
         change = euclidean_norm(one.unknowns - before) / size if size > 0 else 0.0
         return replace(state, cycles=one.cycles, relative_change=change if np.isfinite(size) else np.inf)
-
-    def run(self, stop: ChangeTest, run: Run) -> Status:
-        """Iterate; the residual of the last iterate confirms the status or not."""
-        status, one = iterate(self, stop, run), self.smoothing
-        if status is Status.DIVERGED:
-            return status
-        return stop.confirmed(status, one.measure(one.cycles, one.unknowns, one.residual()), run)

@@ -7,6 +7,7 @@ The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.c
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from adaptmg.smoother.factorisation import Condensed, condense
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.examine import Sizes
-from adaptmg.solver.iterate import ChangeTest, Measure, Smoothing, StopTest, WholeSteps, iterate
+from adaptmg.solver.iterate import Measure, Smoothing, StopTest, iterate
 from adaptmg.solver.record import Outcome, Run, Status
 
 
@@ -94,7 +95,7 @@ class ProjectedRun:
                     multigrid.coarse = replace(self.coarse, rtol=start.rtol, atol=0.0, test="error")
                     multigrid.solve_coarsest(local.contact, local.load, unknowns)
                 elif start.cycles == "complete":
-                    iterate(_Cycles(multigrid, self.cycle, local, unknowns), StopTest(start.rtol, self.max_cycles))
+                    iterate(self._cycles(multigrid, level, unknowns), StopTest(start.rtol, self.max_cycles))
                 else:
                     for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
                         multigrid.cycle(level, local.contact, local.load, unknowns, self.cycle.shape)
@@ -112,46 +113,32 @@ class ProjectedRun:
         local = self.problems[-1]
         multigrid = self.multigrid(len(self.hierarchy) - 1)
         with self.run.phase("cycles"):
-            cycles = _Cycles(multigrid, self.cycle, local, unknowns, self.run)
-            if self.stop == "error":
-                stop = StopTest(self.rtol, self.max_cycles, lambda rtol: self.run.shortfall(
-                    local.to_cartesian(unknowns), rtol))
-                status = iterate(cycles, stop, self.run)
-            else:
-                stop = ChangeTest(self.rtol, self.max_cycles)
-                status = WholeSteps(cycles, corrects=True).run(stop, self.run)
+            cycles = self._cycles(multigrid, len(self.hierarchy) - 1, unknowns, self.run)
+            status, stop = cycles.solve(self.stop, self.rtol, self.max_cycles, self.run,
+                                        lambda rtol: self.run.shortfall(local.to_cartesian(unknowns), rtol))
         return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, self.rtol, stop.error_estimate, stop.rate)
+
+
+    def _cycles(self, multigrid: MultigridCycle, level: int, unknowns: np.ndarray, run: Run | None = None) -> Smoothing:
+        """Cycles, measured after the first smoothing, where the cycle has its residual."""
+        local = self.problems[level]
+
+        def sweep(sweeps: int) -> int:
+            multigrid.smooth(level, local.contact, local.load, unknowns, sweeps)
+            return 0
+
+        def correct(r: np.ndarray) -> None:
+            multigrid.correct(level, local.contact, unknowns, r)
+            sweep(self.cycle.post)
+
+        return Smoothing(Measure(local, run), unknowns, lambda cycles: sweep(self.cycle.pre),
+                         lambda: multigrid.residual(level, local.load, unknowns), correct)
 
 
 def need_levels(hierarchy: Hierarchy) -> None:
     """Refuse a single level."""
     if len(hierarchy) < 2:
         raise ValueError("grids must have at least two levels for multigrid, got one: use SingleGrid or ActiveSet")
-
-
-class _Cycles(Smoothing):
-    """Cycles, measured after the first smoothing, where the cycle has its residual."""
-
-    def __init__(self, multigrid: MultigridCycle, cycle: Cycle, local: LocalProblem, unknowns: np.ndarray,
-                 run: Run | None = None) -> None:
-        super().__init__(Measure(local, run), unknowns)
-        self.multigrid, self.local = multigrid, local
-        self.level, self.pre, self.post = len(multigrid.levels) - 1, cycle.pre, cycle.post
-
-    def smooth(self) -> int:
-        self._sweep(self.pre)
-        return 0
-
-    def residual(self) -> np.ndarray:
-        return self.multigrid.residual(self.level, self.local.load, self.unknowns)
-
-    def correct(self, r: np.ndarray) -> int:
-        self.multigrid.correct(self.level, self.local.contact, self.unknowns, r)
-        self._sweep(self.post)
-        return 1
-
-    def _sweep(self, sweeps: int) -> None:
-        self.multigrid.smooth(self.level, self.local.contact, self.local.load, self.unknowns, sweeps)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,6 +165,10 @@ class SingleGrid:
     >>> am.solve(grids, am.SingleGrid(omega=1.5)).status.name
     'CONVERGED'
     """
+
+    #: sweeps between the first checks; later checks come every CHECK_SHARE of the sweeps done
+    FIRST_CHECK: ClassVar[int] = 10
+    CHECK_SHARE: ClassVar[float] = 0.1
 
     omega: float = 1.0
     condensed: bool = False
@@ -209,23 +200,30 @@ class SingleGrid:
         project(problem, unknowns)
         # the Schur complement measures the energy of the error of the recovered solution
         reference = None if run.reference is None else restrict(local.to_local(run.reference))
-        sweeps = _Sweeps(problem, self, run, unknowns, Measure(problem, run=run, reference=reference, sizes=sizes))
+        batches = []
 
-        def shortfall(rtol: float) -> float:
-            return run.shortfall(local.to_cartesian(recover(unknowns)), rtol)
+        def smooth(done: int) -> int:
+            batches.append(max(self.FIRST_CHECK, int(self.CHECK_SHARE * done)) if self.stop == "error" else 1)
+            times = min(batches[-1], self.max_sweeps - done)
+            passes = ProjectedGaussSeidel(omega=self.omega).smooth(problem.system, problem.contact, problem.load,
+                                                                   unknowns, times)
+            run.count(passes, problem.system.nonzeros)
+            return times
 
+        def residual() -> np.ndarray:
+            run.count(1, problem.system.nonzeros)
+            return problem.residual(unknowns)
+
+        sweeps = Smoothing(Measure(problem, run=run, reference=reference, sizes=sizes), unknowns, smooth, residual)
         with run.phase("sweeps"):
-            if self.stop == "change":
-                stop = ChangeTest(self.rtol, self.max_sweeps)
-                status = WholeSteps(sweeps, corrects=False).run(stop, run)
-            else:
-                stop = StopTest(self.rtol, self.max_sweeps, shortfall, stalled=Status.CYCLING)
-                status = iterate(sweeps, stop, run)
+            # batches that reach no new smallest change are cycling
+            status, stop = sweeps.solve(self.stop, self.rtol, self.max_sweeps, run, lambda rtol: run.shortfall(
+                local.to_cartesian(recover(unknowns)), rtol), stalled=Status.CYCLING)
         run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
         with run.phase("factorise" if self.condensed else "sweeps"):
             solved = local.to_cartesian(recover(unknowns))
         return Outcome(solved, status, sweeps.cycles, self.rtol, stop.error_estimate,
-                       stop.rate ** (1 / sweeps.batch) if np.isfinite(stop.rate) else np.nan)
+                       stop.rate ** (1 / batches[-1]) if np.isfinite(stop.rate) else np.nan)
 
 
 class _CondensedSizes(Sizes):
@@ -248,32 +246,3 @@ class _CondensedSizes(Sizes):
     def _whole(self, unknowns: np.ndarray) -> np.ndarray:
         needed = self.prescribed or self._problem.strain_free is not None
         return self._condensed.recover(unknowns) if needed else unknowns
-
-
-class _Sweeps(Smoothing):
-    """Batches of sweeps, each followed by a residual; those that reach no new smallest change are cycling."""
-
-    #: sweeps between the first checks; later checks come every CHECK_SHARE of the sweeps done
-    FIRST_CHECK, CHECK_SHARE = 10, 0.1
-
-    def __init__(self, problem: LocalProblem, options: SingleGrid, run: Run, unknowns: np.ndarray, measure: Measure
-                 ) -> None:
-        super().__init__(measure, unknowns)
-        self.problem, self.options, self.run, self.batch = problem, options, run, 1
-        self._smoother = ProjectedGaussSeidel(omega=options.omega)
-
-    def smooth(self) -> int:
-        system = self.problem.system
-        if self.options.stop == "error":
-            self.batch = max(self.FIRST_CHECK, int(self.CHECK_SHARE * self.cycles))
-        times = min(self.batch, self.options.max_sweeps - self.cycles)
-        passes = self._smoother.smooth(system, self.problem.contact, self.problem.load, self.unknowns, times)
-        self.run.count(passes, system.nonzeros)
-        return times
-
-    def residual(self) -> np.ndarray:
-        self.run.count(1, self.problem.system.nonzeros)
-        return self.problem.residual(self.unknowns)
-
-    def correct(self, r: np.ndarray) -> int:
-        return 0
