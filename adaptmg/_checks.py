@@ -186,7 +186,10 @@ def file_path(name: str, value: object) -> Path:
         raise TypeError(f"{name} must be a path (str or pathlib.Path), got {described(value)}")
     if not text or "\0" in text:
         raise ValueError(f"{name} must be a path, got {text!r}")
-    return Path(text).expanduser()
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:
+        raise ValueError(f"{name}: {text!r} has no home directory: {error}") from None
 
 
 def fits(name: str, size: float, words: str) -> None:
