@@ -88,13 +88,6 @@ def test_marked_elements_have_all_edges_halved_and_passes_count(mesh):
     assert once.n_nodes < full.mesh.n_nodes
 
 
-def test_uniform_bisection_makes_the_next_structured_mesh():
-    for mesh, next_one in ((structured(Rectangle(width=1, height=1), n) for n in (4, 8)), (cube(1), cube(2))):
-        fine, _ = bisect(mesh, everything(mesh))
-        assert fine.n_nodes == next_one.n_nodes and len(fine.elements) == len(next_one.elements)
-        np.testing.assert_array_equal(np.unique(fine.points, axis=0), np.unique(next_one.points, axis=0))
-
-
 FINE_SQUARE = structured(Rectangle(width=1, height=1), 4)
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refused import refused
-from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, structured, two_boxes
+from simplex_meshes import disk, log_graded, mesh_of, random_box, structured, two_boxes
 
 from adaptmg.mesh import MeshArrays
 from adaptmg.transfer import PointLocator, mesh_ratio, size_ratio
@@ -101,16 +101,6 @@ test_failures_name_the_argument = refused(
     (lambda: PointLocator(bare([[0, 0], [1, 0], [0, 1], [2, 0]], [[0, 1, 2], [0, 1, 3]])), "element 1 has no volume"),
     (lambda: PointLocator(bare([[0, 0]], np.zeros((0, 3)))), "no elements"),
     (lambda: PointLocator(two_boxes(3, 2), body=2), "body 2 of the mesh has no elements"))
-
-
-def test_coincident_centroids_do_not_confuse_the_tree():
-    # rings of nested triangles about one point: all Morton codes nearly equal
-    angle = np.pi / 2 + np.arange(3) * 2 * np.pi / 3
-    rings = [s * np.column_stack([np.cos(angle), np.sin(angle)]) for s in 2.0 ** -np.arange(30)]
-    mesh = delaunay(np.concatenate(rings))
-    points = mesh.points[mesh.elements].mean(axis=1)
-    found = PointLocator(mesh).locate(points)
-    np.testing.assert_array_equal(found.element, np.arange(len(points)))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
