@@ -196,11 +196,6 @@ def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, 
                          f"node {partner[i]} {tuple(points[partner[i]].tolist())} lies {offset[i]:.3g} m off its "
                          f"normal, {allowed[i]:.3g} m are allowed{'' if facing[i] else ', and faces the same way'} "
                          f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes or a mortar coupling")
-    taken, index = np.unique(partner, return_index=True)
-    if len(taken) < len(partner):
-        i = np.setdiff1d(np.arange(len(partner)), index)[0]
-        raise ValueError(f"slave node {nodes[i]} {tuple(points[nodes[i]].tolist())} has the same partner {partner[i]} "
-                         "as another one: the meshes do not match; use a mortar coupling")
 
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
