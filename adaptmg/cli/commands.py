@@ -6,6 +6,7 @@ The options of ``solve`` and ``adapt`` are made from signatures and types by :mo
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import importlib.util
 import json
 import logging
@@ -212,9 +213,8 @@ def _study(parsed: Namespace) -> int:
             study.run(progress=False if parsed.quiet else None, **options)
     table, status = study.table(details=parsed.json), study.status()
     if parsed.json:
-        head = {"study": study.name, "runs": status.total, "done": status.done, "failed": status.failed,
-                "stale": status.stale, "missing": status.missing, "why_stale": status.reasons, "errors": status.errors}
-        _print_json(head | ({} if parsed.dry_run else {"rows": finite(table.to_dict("records"))}))
+        rows = {} if parsed.dry_run else {"rows": finite(table.to_dict("records"))}
+        _print_json({"study": study.name, "runs": status.total, **dataclasses.asdict(status), **rows})
     elif parsed.dry_run:
         _say(f"{as_text(table[[*study.parameters, 'status']].head(_SHOWN))}\n\n{study!r}\n{status!r}")
     elif not parsed.quiet:
