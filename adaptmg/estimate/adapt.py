@@ -20,7 +20,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import say
 from adaptmg.estimate.engines import Bisect, Engine, sound_mesh
 from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark, Residual
-from adaptmg.estimate.loop import LOOP_KINDS, AdaptiveLoop, Limits, Parts, Progress, Step, loop_fingerprint
+from adaptmg.estimate.loop import LOOP_KINDS, AdaptiveLoop, Limits, LoopParts, Progress, Step, loop_fingerprint
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import need_domain
 from adaptmg.mesh.grading import measures
@@ -109,7 +109,7 @@ def adapt(problem: ContactProblem,
         max_nodes = _NODES
     limits = Limits(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds)
     engine = Bisect() if engine is None else engine
-    parts = Parts(Residual() if indicator is None else indicator, Doerfler() if mark is None else mark, engine,
+    parts = LoopParts(Residual() if indicator is None else indicator, Doerfler() if mark is None else mark, engine,
                   solver, load_path, adapt_on)
     _check(parts)
     if not isinstance(progress, bool):
@@ -147,7 +147,7 @@ def _written(row: dict[str, float | str]) -> None:
         say(f"step {row['step']}: {row['nodes']} nodes, {words[row['phase']]}")
 
 
-def _check(parts: Parts) -> None:
+def _check(parts: LoopParts) -> None:
     checks.offers("indicator", parts.indicator, "indicate",
                   "Residual(), Recovery(), Goal(...) or offer indicate(hierarchy, result) -> Estimate")
     checks.offers("mark", parts.mark, "mark", "Doerfler(...), Maximum(...) or offer mark(estimate) -> mask")

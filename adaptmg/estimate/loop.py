@@ -186,7 +186,7 @@ class StoredStep:
 
 
 @dataclass(frozen=True)
-class Parts:
+class LoopParts:
     """What the loop is made of; :func:`adaptmg.adapt` says what each is."""
 
     indicator: Indicator
@@ -218,7 +218,7 @@ RESOLVED = 500
 class AdaptiveLoop:
     """One run of the adaptive loop."""
 
-    def __init__(self, start: Hierarchy, parts: Parts, limits: Limits, store: StepStore | None,
+    def __init__(self, start: Hierarchy, parts: LoopParts, limits: Limits, store: StepStore | None,
                  progress: Progress | None) -> None:
         self.first, self.parts, self.limits, self.store, self.progress = start, parts, limits, store, progress
         self.clock = Run(unit=1)
@@ -457,7 +457,7 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     return replace(hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors))
 
 
-def _path_estimate(hierarchy: Hierarchy, parts: Parts, results: PathResult) -> tuple[int, Estimate, Estimate]:
+def _path_estimate(hierarchy: Hierarchy, parts: LoopParts, results: PathResult) -> tuple[int, Estimate, Estimate]:
     """The last load step, or the one with the largest relative estimate: number, estimate, and what to refine by. Of
     several load steps each element counts with its largest share in the relative estimate of any step: a mesh made for
     one step alone is too coarse where others need it, and the loop would alternate between them."""

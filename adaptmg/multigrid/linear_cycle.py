@@ -287,3 +287,19 @@ class _LevelSmoother:
     def smooth(self, load: np.ndarray, unknowns: np.ndarray) -> float:
         passes = self._smoother.smooth(load.copy(), unknowns)
         return checks.nonnegative("coarse_smoother: the passes that smooth returns", passes)
+
+
+#: added to the scaled products of residuals, which may depend on each other
+_SHIFT = 1e-12
+
+
+def least_weights(now: np.ndarray, changes: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """The alpha (k,) that minimise |now + alpha changes|, ``changes`` (k, n), weighted with ``d`` (n,)."""
+    weighted = changes * d
+    products = weighted @ changes.T
+    scale = np.sqrt(products.diagonal())
+    scale[scale == 0.0] = 1.0
+    products /= scale[:, None] * scale
+    products.flat[::len(scale) + 1] += _SHIFT
+    # LAPACK itself: numpy's least squares take ten times as long as all products of a small problem
+    return linalg.lapack.dposv(products, -(weighted @ now) / scale)[1] / scale

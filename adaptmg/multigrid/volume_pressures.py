@@ -33,7 +33,7 @@ from scipy import sparse
 from adaptmg._checks import indices_frozen
 from adaptmg._on_demand import Token
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.multigrid.truncated_step import least_weights
+from adaptmg.multigrid.linear_cycle import least_weights
 
 
 class VolumePressures:

@@ -34,7 +34,7 @@ from adaptmg.discrete.stress import cut_force, cut_stiffness
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
 from adaptmg.multigrid.cycle import NestedStart
-from adaptmg.multigrid.subspaces import RigidMotions
+from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_step import TruncatedStep
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.problem.contact_problem import Contact, ContactProblem

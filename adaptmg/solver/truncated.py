@@ -10,7 +10,7 @@ three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with
 smoothing leaves behind, it decides when to stop, without a further pass over a matrix.
 
 Where the contact status is not yet known (from zero, or while corrections are large) a contact problem on a coarse
-level comes before the cycle (:mod:`adaptmg.multigrid.subspaces`), and the linear correction ends where its first
+level comes before the cycle (:mod:`adaptmg.multigrid.truncated_step`), and the linear correction ends where its first
 open node closes. Cycles with frozen friction and a line search ("safe" ones) are taken where the residual no longer
 falls. If that does not help, the iteration has stalled.
 """
@@ -31,10 +31,10 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import NestedStart
 from adaptmg.multigrid.linear_cycle import LinearCycle, LinearSmoother, LinearSolve
 from adaptmg.multigrid.projected_sweeps import Interface
+from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
-from adaptmg.multigrid.subspaces import CoarseContact, RigidMotions
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.multigrid.truncated_step import TruncatedStep
+from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedStep
 from adaptmg.multigrid.volume_pressures import VolumePressures, prolonged_pressures
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import coarsest_solution

@@ -8,9 +8,10 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg.multigrid.linear_cycle import CoarseFactors
+from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
-from adaptmg.multigrid.subspaces import RigidMotions, _eliminated, null_combinations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncated_step import _eliminated
 from adaptmg.smoother import factorisation
 from adaptmg.smoother.factorisation import FACTORISED
 from adaptmg.solver import multigrid

@@ -13,11 +13,10 @@ import adaptmg as am
 from adaptmg.discrete.discretise import discretise
 from adaptmg.mesh import graded, structured
 from adaptmg.multigrid import projected_sweeps
-from adaptmg.multigrid.linear_cycle import CoarseFactors
+from adaptmg.multigrid.linear_cycle import CoarseFactors, least_weights
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.split_matrix import add_prolonged, gauss_seidel, restrict, split, subtract_half
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.multigrid.truncated_step import least_weights
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
