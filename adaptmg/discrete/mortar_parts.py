@@ -106,8 +106,6 @@ class CoveredParts:
         share = self.weights / np.where(measure > 0, measure, 1.0)[self.slave, None]  # an edge may lie on the axis
         centroid = sums(np.einsum("pq,pqa->pa", share, self.places))
         off = self.places - centroid[self.slave, None]
-        # the mean is now zero to the rounding of coordinates; across narrow parts, to that of their width is needed
-        off -= sums(np.einsum("pq,pqa->pa", share, off))[self.slave, None]
         products = np.einsum("pq,pqa,pqb->pab", share, off, off).reshape(-1, (k - 1)**2)
         covariance = sums(products).reshape(n, k - 1, k - 1)
         covariance[measure == 0] = np.eye(k - 1)
