@@ -154,22 +154,26 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
         end, last = node + math.prod(n + 1 for n in above), column + int(strides[-1])
         if (coarse.points[[column, last - 1]] != fine.points[[node, end - 1]]).any():
             return None
-        lowest, shares = np.int32(column), []
+        at, shares, steps = np.int32(column), [], list(strides[:-1])
         for k, (m, n) in enumerate(zip(below, above, strict=True)):
             # of nodes along an axis the coarse cell, and how far in it they lie
             cell, rest = np.divmod(np.arange(n + 1) * m, n)
-            lowest = (strides[k] * cell.astype(np.int32)).reshape(-1, *[1] * k) + lowest
+            at = (strides[k] * cell.astype(np.int32)).reshape(-1, *[1] * k) + at
             shares.append((rest / n).reshape(-1, *[1] * k))
-        share = np.stack(np.broadcast_arrays(*shares), axis=-1).reshape(-1, fine.dim)
         # from the largest share to the smallest: the corners of the simplex that holds the node
-        order = np.argsort(-share, axis=1, kind="stable")
-        share = np.take_along_axis(share, order, axis=1)
-        columns[node:end, 0] = lowest.reshape(-1)
-        np.cumsum(strides[order], axis=1, out=columns[node:end, 1:])
-        columns[node:end, 1:] += columns[node:end, :1]
-        weights[node:end] = -np.diff(share, axis=1, prepend=1.0, append=0.0)
+        for last_pair in range(fine.dim - 1, 0, -1):
+            for k in range(last_pair):
+                (one, other), behind = shares[k:k + 2], shares[k] < shares[k + 1]
+                shares[k:k + 2] = np.maximum(one, other), np.minimum(one, other)
+                steps[k:k + 2] = np.where(behind, steps[k + 1], steps[k]), np.where(behind, steps[k], steps[k + 1])
+        ends = [1.0, *shares, 0.0]
+        for k in range(fine.dim + 1):
+            weights[node:end, k], columns[node:end, k] = (ends[k] - ends[k + 1]).reshape(-1), at.reshape(-1)
+            at = at + steps[k] if k < fine.dim else at
         node, column = end, last
-    return csr_from_weights(columns, weights, coarse.n_nodes)
+    kept = weights >= CLIP
+    indptr = np.append(0, np.cumsum(np.count_nonzero(kept, axis=1))).astype(np.int32)
+    return sparse.csr_array((weights[kept], columns[kept], indptr), shape=(fine.n_nodes, coarse.n_nodes))
 
 
 CLIP = 1e-10
