@@ -197,22 +197,11 @@ def scaled_ring(length, force):
         [0.3 * length, 0.16 * length, 0.08 * length], 3.0)
 
 
-def hovering_blocks(length, force):
-    """A block that expands above another one, held sideways alone."""
-    upper = am.Rectangle(width=length, height=0.3 * length)
-    lower = am.Rectangle(width=1.4 * length, height=0.5 * length, origin=(-0.2 * length, -0.5 * length))
-    return am.Hierarchy.graded(am.ContactProblem(
-        name="blocks", domain=am.Assembly(parts={"a": upper, "b": lower}), law=am.Frictionless(),
-        material={name: am.PlaneStrain(young=2e11, poisson=0.3) for name in "ab"},
-        contact=am.ContactPair("a.bottom", "b.top", gap=1e-5 * length * force),
-        loads=(am.InitialStrain("a", (3e-5 * force, 3e-5 * force)), am.Pressure("a.top", 2e5 * force)),
-        supports=(am.Support("b.bottom", x=0.0, y=0.0), am.PointSupport((0.5 * length, 0.3 * length), x=0.0))),
-        (0.25 * length, 0.14 * length, 0.08 * length))
-
-
-@pytest.mark.parametrize("body", [scaled_ring, hovering_blocks])
-def test_bodies_that_contact_alone_holds(body):
-    hierarchy = body(*10 ** np.random.default_rng().uniform(-1, 1, 2))
+@pytest.mark.parametrize("make", [lambda: scaled_ring(*10 ** np.random.default_rng().uniform(-1, 1, 2)),
+                                  *(lambda seed=seed: load("random_problems").random_floating(seed)[1]
+                                    for seed in (4, 25))], ids=["ring", "blocks", "smooth blocks"])
+def test_bodies_that_contact_alone_holds(make):
+    hierarchy = make()
     discrete = hierarchy.finest.discrete
     exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12)).displacement
     for solver in (am.SingleGrid(rtol=0.05, omega=1.8), am.SingleGrid(rtol=5e-3, omega=1.8),
