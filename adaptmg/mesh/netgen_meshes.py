@@ -67,8 +67,8 @@ SizesAt = list[tuple[np.ndarray, np.ndarray]]
 """Points (n, dim) and sizes (n,) there, of the domain at unit size."""
 
 _NETGEN_RATIO = 16.0
-# on curved faces edges are at most their radius of curvature over this, about; nodes expected on them
-_CURVATURE, _CURVED = 2.0, 1e4
+# on curved faces edges are at most their radius of curvature over this, about
+_CURVATURE = 2.0
 # Netgen fails on curved faces, or makes slivers, where sizes grow faster; where it fails all the same, slower growth
 # (which only makes the mesh finer) often helps
 _MAX_GRADING = 0.6
@@ -290,9 +290,10 @@ def _unit_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
     faces = [str(i) for i, name in enumerate(shape.names) if name in sizes.names]
     if missing := sorted(set(sizes.names).difference(shape.names)):
         raise ValueError(f"of boundary {missing[0]!r} no face is left on {domain!r}")
-    nodes = refuse_too_many(guessed_nodes(
-        3, shape.volume, sizes.size / shape.scale, sum(shape.areas[int(face)] for face in faces),
-        sizes.near / shape.scale, sizes.grading), domain)
+    nodes = guessed_nodes(3, shape.volume, sizes.size / shape.scale, sum(shape.areas[int(face)] for face in faces),
+                          sizes.near / shape.scale, sizes.grading)
+    on_round = _round_nodes(shape, sizes.size / shape.scale)
+    refuse_too_many(nodes + on_round, domain)
     surfaces = candidates(shape.samples) if mesher == "own" else None
     if mesher == "own" and surfaces is None:
         _LOG.info("Netgen makes all elements of %r, which has faces other than planes, cylinders, cones, spheres and "
@@ -303,7 +304,7 @@ def _unit_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
         try:
             coarse = sizes.drafts(factor, slower)
             rounds = 0 if coarse.function is None and not faces else 2 if factor == 1 and coarse.function else 1
-            unit = _solid_draft(worker, shape, coarse, faces, domain, nodes / factor**3, rounds)
+            unit = _solid_draft(worker, shape, coarse, faces, domain, nodes / factor**3 + on_round, rounds)
             try:
                 if factor > 1 and (angle := least_angle(unit.points, unit.elements)) < _MIN_ANGLE:
                     raise Misplaced(f"it has angles of {angle:.1f} degrees")
@@ -322,6 +323,18 @@ def _unit_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
             if not worker.alive:
                 break
     raise netgen_error(domain, why) from why
+
+
+def _round_nodes(shape: Shape, size: float) -> float:
+    """The number of nodes that cylinders and spheres ask for where their radius over _CURVATURE is below a size; half
+    of the whole surfaces."""
+    nodes = 0.0
+    for area, samples in zip(shape.areas, shape.samples, strict=True):
+        for surface in (candidates([samples]) or [[]])[0][:1]:
+            is_round = not surface.profile[1] if surface.straight else not surface.profile.any()
+            edge = surface.extent / _CURVATURE
+            nodes += 0.6 * area / edge**2 if is_round and 0 < edge < size else 0.0
+    return nodes
 
 
 def _sound(shape: Shape, tables: Sequence) -> MeshArrays:
@@ -346,7 +359,7 @@ def _solid_draft(worker: Netgen, shape: Shape, sizes: SolidSizes, faces: Sequenc
     for left in range(rounds, -1, -1):
         # of a draft only its sizes matter: optimising takes most of the time
         fast = {"optsteps3d": 0} if left else {}
-        unit = _sound(shape, worker("mesh_shape", face_sizes, options | fast, at, seconds=limit_s(nodes + _CURVED, 3)))
+        unit = _sound(shape, worker("mesh_shape", face_sizes, options | fast, at, seconds=limit_s(nodes, 3)))
         if left:
             mesh = _placed(unit, shape)
             centroids = mesh.points[mesh.elements].mean(axis=1)

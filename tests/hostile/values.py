@@ -71,7 +71,8 @@ _CALLS = {
 #: meshes of more nodes than fit
 _LARGE = {
     "square": lambda: graded(SQUARE, 1e-6), "ball": lambda: graded(am.Ball((0, 0, 0), 1), 1e-100),
-    "ratio in space": lambda: graded(CUBE, 0.3, "top", 1e5)}
+    "ratio in space": lambda: graded(CUBE, 0.3, "top", 1e5),
+    "round wire": lambda: graded(am.Cylinder((0, 0, 0), (0, 0, 1), 1e-6, 1), 1e-2)}
 
 
 def _named_contact(**changes):
