@@ -67,6 +67,10 @@ def test_meshes_are_sound_and_delaunay(domain, size):
         assert (mesh.points == vertex).all(axis=1).sum() == 1
     if domain in (SQUARE, DOMAINS["angle"], DOMAINS["two holes"]):
         assert quality(mesh).min_angle > 28
+        # the mean ratio is 1 for equilateral triangles, .985 where nodes are not moved
+        edges = mesh.points[mesh.elements] - mesh.points[np.roll(mesh.elements, 1, axis=1)]
+        ratios = 4 * np.sqrt(3) * mesh.volumes / np.square(edges).sum(axis=(1, 2))
+        assert ratios.mean() > (0.99 if size == 0.05 else 0.95)
 
 
 @pytest.mark.parametrize("domain", SLANTED.values(), ids=SLANTED)
