@@ -92,6 +92,8 @@ VARIANTS = {
     "F": am.FullMultigrid(correction=am.Monotone(), cycle=am.Cycle(shape="F"), rtol=1e-10),
     "minmod": am.FullMultigrid(correction=am.PaperCorrection(slip="minmod", limit="summed"), rtol=1e-10),
     "discretised": replace(MONOTONE, coarse_matrices="discretised"),
+    "no recombination": am.Multigrid(correction=am.Truncated(recombine=0), rtol=1e-10),
+    "one recombined": am.Multigrid(correction=am.Truncated(recombine=1), rtol=1e-10),
     "symmetric sweeps": replace(MONOTONE, smoother=am.ProjectedGaussSeidel(order="symmetric")),
 }
 

@@ -149,9 +149,10 @@ def _wrong_matrices():
     yield from words(coupled, "weights", np.eye(N), sparse.csr_array(np.roll(np.eye(N), 1, axis=0)),
                      sparse.csr_array((N + 1, N + 1)))
     yield from each("prolongations", lambda v: am.Hierarchy.from_prolongations(discrete(), v), labelled((
-        sparse.csr_array((5, 3)), [halved(), sparse.csr_array(np.ones((6, 3)))])))
+        sparse.csr_array((5, 3)), [halved(), sparse.csr_array(np.ones((6, 3)))], [], [sparse.eye_array(N)])))
     yield from each("prolongations[0]", coarse, labelled((
         np.ones((N, 3)), 1j * halved(), 1e200 * halved(), 1e-300 * halved(), sparse.csr_array((N, 0)))))
+    yield from each("max_coarse", lambda v: am.Hierarchy.algebraic(discrete(), max_coarse=v), {"all nodes": N})
     yield from words(level, "prolongation", np.ones((25, 9)), 1j * sparse.eye_array(25, 9).tocsr())
     yield from words(am.Level, "galerkin", sparse.eye_array(4).tocsr(), discrete=None)
     for name, *values in (("prolongation", None, short := sparse.eye_array(49, 18).tocsr()),

@@ -1,6 +1,5 @@
 """Numbers, names and objects that cannot be what was meant; wrong types, argument by argument: test_doors."""
 
-
 import numpy as np
 from arrays_and_matrices import contact as nodes
 from arrays_and_matrices import discrete, grids
@@ -35,6 +34,7 @@ _KEYWORDS = (
     (am.InitialStrain, "components", ((1e300, 0.0),), {"body": "body"}), (am.LoadPath, "default", ([0.5, NAN],), {}),
     (am.ContactPair, "reach gap", (-1.0,), {"slave": "a", "master": "b"}), (am.SingleGrid, "omega", (2.0,), {}),
     (am.cases.greco_bar, "size", (NAN,), {}), (am.CoarseSolve, "atol", (1.0,), {}),
+    (am.CoarseSolve, "rtol", (0,), {}), (am.Truncated, "recombine", (5,), {}),
     (am.Doerfler, "theta", (0.0,), {}), (am.Remesh, "growth", (1.0,), {}),
     (am.Estimate, "squares", ([-1.0], []), {"norm": 1.0}),
     (am.Estimate, "norm", (-1.0,), {"squares": [1.0]}), (am.Estimate, "signed", (NAN,), {"squares": [1.0], "norm": 1.0,
@@ -53,6 +53,7 @@ _CALLS = {
     "Tresca limit": (lambda v: am.Tresca(v).bounds(2), -1.0),
     "LoadPath factors['top']": (lambda v: am.LoadPath({"top": v}), [1e300], [[1.0], [1.0, 2.0]], "12"),
     "factors": (am.LoadPath, {_BAD: [1.0]}),
+    "both be 0": (lambda v: am.Cycle(pre=v, post=v), 0),
     "Outline arcs[1]": (lambda v: triangle(arcs={1: (0, v)}), NAN), "Polygon vertices": (triangle, NAN),
     "graded size": (lambda v: graded(SQUARE, v), 0), "sized size": (lambda v: sized(SQUARE, v, 0.3), 1e-6),
     "structured divisions": (lambda v: structured(SQUARE, v), (2, 2, 2), 10**5, 10**400),

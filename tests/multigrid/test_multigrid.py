@@ -1,6 +1,5 @@
 """Coarse spaces, corrections, cycles, coarse solves: properties and hand-counted work."""
 
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -109,11 +108,3 @@ def test_galerkin_matrices_are_discretised_ones_on_nested_meshes():
         free = ~a.system.fixed
         difference = (a.system.matrix - b.system.matrix).toarray()[np.ix_(free, free)]
         assert np.abs(difference).max() < 1e-12 * np.abs(b.system.data).max()
-
-
-@pytest.mark.parametrize(("kind", "options", "message"), [
-    (am.Cycle, {"pre": 0, "post": 0}, "pre and post"), (am.CoarseSolve, {"rtol": 0}, "rtol and atol"),
-    (am.Truncated, {"recombine": 5}, "recombine")])
-def test_options_check_themselves(kind, options, message):
-    with pytest.raises(ValueError, match=message):
-        kind(**options)

@@ -32,11 +32,14 @@ def test_a_body_held_by_contact_alone():
     problem = nearly_sliding(2, am.Coulomb(0.3), 0.3)
     nested = am.Hierarchy.uniform(problem, divisions=(4, 8, 16))
     independent = am.Hierarchy.graded(problem, sizes=(10e-3, 5e-3, 2.5e-3), contact_ratio=2)
-    for grids, *solvers in ((nested, am.FullMultigrid(), am.Multigrid(), am.FullMultigrid(correction=am.Monotone()),
-                             am.SingleGrid(omega=1.8)), (independent, am.FullMultigrid())):
+    far = np.full((nested.finest.n_nodes, 2), 1e-3)
+    for grids, start, *solvers in (
+            (nested, None, am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.SingleGrid(omega=1.8)),
+            (nested, far, am.Multigrid(), am.ActiveSet(), am.ActiveSet(condensed=False), am.ActiveSet(linear=am.AMG())),
+            (independent, None, am.FullMultigrid())):
         exact = am.solve(grids, am.ActiveSet(rtol=1e-12)).displacement
         for solver in solvers:
-            result = am.solve(grids, solver)
+            result = am.solve(grids, solver, start=start)
             assert np.abs(result.displacement - exact).max() < 1e-5 * np.abs(exact).max(), solver
             assert result.residual < 1e-7
 
@@ -108,21 +111,6 @@ def test_a_large_coarsest_grid_is_factorised_sparse(monkeypatch):
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     result = am.solve(grids, am.FullMultigrid(), reference=exact)
     assert not result.fallback and result.cycles <= 15 and result.history["true_error"][-1] < 3e-8
-
-
-@pytest.mark.parametrize("dense", [0, 10_000])
-def test_singular_dofs_factorise_the_first_matrix_alone_twice(dense, monkeypatch):
-    matrix, made, factors = np.eye(40), [], CoarseFactors._factors
-    matrix[:2, :2] = [[1.0, -1.0], [-1.0, 1.0 + 1e-15]]
-    monkeypatch.setattr(CoarseFactors, "DENSE", dense)
-    monkeypatch.setattr(CoarseFactors, "_factors", lambda self, shift: made.append(shift) or factors(self, shift))
-    coarse = CoarseFactors(split(sparse.bsr_array(matrix, blocksize=(2, 2)), np.zeros(40, dtype=bool)))
-    for count in (2, 3, 4):
-        coarse.renew()
-        assert len(made) == count
-    load, solution = np.arange(40.0), np.empty(40)
-    coarse.solve(load, solution)
-    np.testing.assert_allclose(solution[2:], load[2:], rtol=1e-12)  # what is not singular is not shifted
 
 
 def test_one_wild_start_or_uneven_ratio_decides_nothing():

@@ -119,24 +119,6 @@ def test_bare_matrices():
             am.solve(solid, needing)
 
 
-def test_bad_prolongations():
-    discrete = bar(am.Coulomb(0.5), 8).finest.discrete
-    n = discrete.n_nodes
-    for given, message in (([], "empty"), ([sparse.eye_array(n, n)], "fewer"),
-                           ([sparse.eye_array(10, 4), sparse.eye_array(n, 11)], "rows")):
-        with pytest.raises(ValueError, match=message):
-            am.Hierarchy.from_prolongations(discrete, given)
-    with pytest.raises(ValueError, match="nothing to coarsen"):
-        am.Hierarchy.algebraic(discrete, max_coarse=10_000)
-
-
-def test_each_variant_converges():
-    grids = bar(am.Coulomb(0.7))
-    for recombine in (0, 1, 3):
-        correction = am.Truncated(recombine=recombine)
-        assert am.solve(grids, am.FullMultigrid(correction=correction)).residual <= 1e-7
-
-
 @pytest.mark.filterwarnings("ignore:friction")
 def test_the_active_set_method_takes_over_from_large_friction():
     hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(5.0)), divisions=(4, 8, 16, 32, 64))

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bodies import corner_pushed
+from bodies import UPPER_ON_LOWER, corner_pushed, pressed, stacked
 from scipy import sparse
 from smoother_problems import expand, network
 
 import adaptmg as am
 from adaptmg.discrete.discretise import discretise
-from adaptmg.mesh import graded, structured
+from adaptmg.mesh import graded
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import CoarseFactors, least_weights
 from adaptmg.multigrid.projected_sweeps import Interface
@@ -213,16 +213,24 @@ def test_transfers(dim):
     np.testing.assert_allclose(u, expected)
 
 
-def test_singular_coarsest_matrices_alone_are_shifted(monkeypatch):
-    singular = np.array([[1.0, -1.0, 0, 0], [-1, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]])
-    regular, rhs, result = singular + np.eye(4), np.array([1.0, -1.0, 0.0, 2.0]), np.empty(4)
-    for dense, scale, (matrix, rtol) in itertools.product((0, 10_000), (1e-10, 1.0, 1e10), (
-            (singular, 1e-5), (regular, 1e-14))):
-        monkeypatch.setattr(CoarseFactors, "DENSE", dense)
-        factors = CoarseFactors(split(sparse.bsr_array(scale * matrix, blocksize=(2, 2)), np.zeros(4, dtype=bool)))
-        factors.renew()
-        factors.solve(scale * rhs, result)
-        np.testing.assert_allclose(matrix @ result, rhs, atol=rtol)
+@pytest.mark.parametrize("dense", [0, 10_000])
+@pytest.mark.parametrize("scale", [1e-10, 1.0, 1e10])
+def test_singular_coarsest_dofs_alone_are_shifted(scale, dense, monkeypatch):
+    singular, made, factors = np.eye(40), [], CoarseFactors._factors
+    singular[:3, :3] = [[1.0, -1.0, 0.0], [-1.0, 1.0 + 1e-15, 0.0], [0.0, 0.0, 0.0]]
+    rhs, result = np.r_[1.0, -1.0, 0.0, np.arange(37.0)], np.empty(40)
+    monkeypatch.setattr(CoarseFactors, "DENSE", dense)
+    monkeypatch.setattr(CoarseFactors, "_factors", lambda self, shift: made.append(shift) or factors(self, shift))
+    for matrix, tolerance, trials in ((singular, 1e-5, 2), (singular + np.eye(40), 1e-13, 1)):
+        made.clear()
+        coarse = CoarseFactors(split(sparse.bsr_array(scale * matrix, blocksize=(2, 2)), np.zeros(40, dtype=bool)))
+        # the first matrix alone is factorised twice
+        for count in (trials, trials + 1):
+            coarse.renew()
+            assert len(made) == count
+        coarse.solve(scale * rhs, result)
+        np.testing.assert_allclose(matrix @ result, rhs, atol=tolerance)
+        np.testing.assert_allclose(matrix[3:] @ result, rhs[3:], rtol=1e-12)
 
 
 def test_weights_of_past_iterates_are_those_of_least_squares():
@@ -258,24 +266,17 @@ GAP = 2e-5
 
 
 def problem(dim, law, gap=GAP, coupling="mortar"):
-    """A block on a wider one, meshes that match or (mortar) do not, rollers at x = 0 that end on both surfaces."""
-    if dim == 2:
-        parts = {"upper": am.Rectangle(width=1.0, height=0.6, origin=(0.0, 0.5)),
-                 "lower": am.Rectangle(width=1.5, height=0.5)}
-        kind, up, divisions = am.PlaneStrain, "y", {"mortar": ((5, 3), (6, 3)), "nodes": ((4, 2), (6, 2))}
+    """Stacked blocks, meshes that match or (mortar) do not, rollers at x = 0 that end on both surfaces."""
+    material = (am.PlaneStrain if dim == 2 else am.Solid)(young=1e10, poisson=0.3)
+    if coupling == "nodes":
+        divisions = ((6, 2), (4, 2)) if dim == 2 else ((2, 2, 2), (2, 2, 1))
     else:
-        parts = {"upper": am.Box(width=1.0, depth=1.0, height=0.6, origin=(0.0, 0.0, 0.5)),
-                 "lower": am.Box(width=1.5, depth=1.0, height=0.5)}
-        kind, up, divisions = am.Solid, "z", {"mortar": ((3, 2, 2), (4, 3, 2)), "nodes": ((2, 2, 1), (3, 2, 2))}
-    domain = am.Assembly(parts=parts)
-    posed = am.ContactProblem(
-        domain=domain, material=kind(young=1e10, poisson=0.3), law=law,
-        contact=am.ContactPair("upper.bottom", "lower.top", gap=gap, coupling=coupling),
-        loads=(am.Pressure("upper.top", lambda x: 1e7 * (0.2 + x[:, 0])),),
-        supports=(am.Support("upper.left", x=0.0), am.Support("lower.left", x=0.0),
-                  am.Support("lower.bottom", **{up: 0.0}), am.Support("lower.right", x=1e-6),
-                  *((am.Support(f"{body}.front", y=0.0) for body in parts) if dim == 3 else ())))
-    mesh = structured(domain, dict(zip(parts, divisions[coupling], strict=True)))
+        divisions = ((6, 3), (5, 3)) if dim == 2 else ((4, 3, 2), (3, 2, 2))
+    mesh = stacked(divisions, width=2 / 3)
+    posed = pressed(mesh, [UPPER_ON_LOWER], (material, material), law)
+    posed = replace(posed, contact=am.ContactPair(*UPPER_ON_LOWER, gap=gap, coupling=coupling),
+                    loads=(am.Pressure("upper.top", lambda x: 1e7 * (0.2 + x[:, 0])),),
+                    supports=(*posed.supports, am.Support("lower.right", x=1e-6)))
     return posed, mesh, discretise(posed, mesh)
 
 
@@ -390,9 +391,9 @@ def test_a_master_before_closed_slaves_takes_them_along(dim, coupling, law, gap)
 
 def test_work_units_by_hand(monkeypatch):
     monkeypatch.setattr(TruncatedIteration, "MOVES", 0)  # each adds a smoothing
-    posed, _, _ = problem(2, am.Coulomb(0.4))
-    divisions = [{"upper": (5 * k, 3 * k), "lower": (6 * k, 3 * k)} for k in (1, 2)]
-    grids = am.Hierarchy.uniform(posed, divisions)
+    posed, *_ = problem(2, am.Coulomb(0.4))
+    meshes = [stacked(((6 * k, 3 * k), (5 * k, 3 * k)), width=2 / 3) for k in (1, 2)]
+    grids = am.Hierarchy.from_meshes(posed, meshes)
     matrix, weights = grids.finest.matrix, grids.finest.discrete.coupling.weights
     # two nodes around the slaves, twice
     pattern = sparse.csr_array((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr))
