@@ -286,17 +286,6 @@ def address(tmp_path_factory):
             yield found
 
 
-def test_a_run_that_ends_its_worker(address):
-    def run(n):
-        if n == 1:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return {"m": n}
-
-    # as often as dask itself starts it again
-    assert Study(run, {"n": range(4)}).run(progress=False, scheduler=address)["error"].tolist() == [
-        "", "WorkerDied: worker died 2 times during this run", "", ""]
-
-
 def test_runs_that_are_given_up_do_not_go_on(address, tmp_path):
     mark = str(tmp_path / "pid")
 
@@ -312,7 +301,7 @@ def test_runs_that_are_given_up_do_not_go_on(address, tmp_path):
         raise ValueError("so")
 
     with distributed.Client(address, set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=240)  # after the test before
+        client.wait_for_workers(2, timeout=240)
     with pytest.raises(ValueError, match="so"):
         Study(run, {"n": [0, 1]}).run(progress=False, scheduler=address, throw=True)
     given_up = int(Path(mark).read_text(encoding="ascii"))
@@ -419,10 +408,3 @@ def test_a_clock_stops_only_a_run_that_its_worker_computes(there):
     runs = _runs(client, 1.0, late=run)
     runs._stop_late()
     assert runs._back.empty() is not there
-
-
-def test_a_run_whose_worker_held_too_much_says_so():
-    runs = _runs(run=executor._Run({"n": 6}, 0.0, None))
-    runs._large.add("tls://a")
-    killed = executor.KilledWorker("run", SimpleNamespace(address="tls://a"), 0)
-    assert runs._outcome("run", killed).record.error.startswith("MemoryLimit")
