@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from refused import refused
 from scipy.spatial.transform import Rotation
-from two_materials import EACH_KIND, MESHES
+from two_materials import BOTH_ELEMENTS, EACH_KIND, MESHES
 
 import adaptmg as am
 from adaptmg.discrete import load_vector
 from adaptmg.discrete.loads import supported_stiffness
 from adaptmg.discrete.stress import StressData
 
-BOTH_ELEMENTS = pytest.mark.parametrize("elements", ["linear", "smoothed"])
 WOOD = {"young": (12e9, 0.8e9, 0.5e9), "poisson": (0.4, 0.35, 0.5), "shear": (0.7e9, 0.6e9, 0.1e9)}
 LIKE_STEEL = {"young": (2.1e11,) * 3, "poisson": (0.3,) * 3, "shear": (2.1e11 / 2.6,) * 3}
 RANDOM = np.random.default_rng(33)

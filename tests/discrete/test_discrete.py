@@ -11,7 +11,7 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg.discrete.coordinates import Coupling
-from adaptmg.discrete.problem import ContactNodes, DiscreteProblem, rigid_body_modes
+from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
 from adaptmg.problem import Coulomb, Frictionless, Tresca
 
 
@@ -83,20 +83,6 @@ class TestDiscreteProblem:
     def test_refuses(self, changes, error, message):
         with pytest.raises(error, match=message):
             discrete(**changes)
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_rigid_body_modes_are_orthonormal_and_strain_free(dim):
-    rng = np.random.default_rng(0)
-    points = 5.0 + rng.random((20, dim))
-    modes = rigid_body_modes(points)
-    k = 3 if dim == 2 else 6
-    np.testing.assert_allclose(modes.T @ modes, np.eye(k), atol=1e-13)
-    # a rigid motion leaves all distances alone to first order
-    i, j = rng.integers(0, 20, (2, 50))
-    for mode in modes.T:
-        u = mode.reshape(-1, dim)
-        np.testing.assert_allclose(np.sum((u[i] - u[j]) * (points[i] - points[j]), axis=1), 0.0, atol=1e-13)
 
 
 # -- relative coordinates: against dense algebra -----------------------------------------------------------------------
@@ -187,4 +173,3 @@ class TestCoupled:
             sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)), np.zeros(2 * n, dtype=bool)),
            r"circle.*exchange slave and master")
           for rows, columns, n in (([0, 1, 2], [1, 2, 0], 4), ([0], [0], 3), ([0, 1], [1, 0], 2)))))
-

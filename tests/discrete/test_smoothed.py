@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from refused import refused
-from two_materials import EACH_KIND, MESHES
+from two_materials import BOTH_ELEMENTS, EACH_KIND, MESHES
 from uncompiled import uncompile
 
 import adaptmg as am
@@ -35,16 +35,19 @@ def test_the_kernels_compute_the_same_uncompiled_and_in_parts(kind, monkeypatch)
     np.testing.assert_allclose(stiffness(mesh, materials, "smoothed").data, compiled.data, rtol=1e-13, atol=1e-3)
 
 
+@BOTH_ELEMENTS
 @EACH_KIND
-def test_energy_matrix_and_loads_of_initial_strains_belong_together(kind):
+def test_energy_matrix_and_loads_of_initial_strains_belong_together(kind, elements):
     """u'K'u / 2 - b'u is the energy of elastic strains less that of u = 0, for initial strains that vary."""
     mesh, materials, rng = MESHES[kind.dim], two(kind), np.random.default_rng(3)
     strains = [InitialStrain(body, (lambda x: 1e-3 * np.sin(3 * x[:, 0]), 2e-3, lambda x: 1e-3 * x[:, 1]))
                for body in mesh.bodies]
     u, still = 1e-3 * rng.normal(size=mesh.points.size), np.zeros(mesh.points.size)
-    matrix, load = stiffness(mesh, materials, "smoothed"), load_vector(mesh, strains, materials, "smoothed")
-    data = StressData.of(mesh, materials, strains, "smoothed")
-    assert data.energy(mesh, u) - data.energy(mesh, still) == pytest.approx(u @ (matrix @ u) / 2 - load @ u, rel=1e-11)
+    matrix, load = stiffness(mesh, materials, elements), load_vector(mesh, strains, materials, elements)
+    data = StressData.of(mesh, materials, strains, elements)
+    # linear elements integrate 1/r by more points than energies have
+    near = 1e-3 if kind is am.Axisymmetric and elements == "linear" else 1e-11
+    assert data.energy(mesh, u) - data.energy(mesh, still) == pytest.approx(u @ (matrix @ u) / 2 - load @ u, rel=near)
     if kind is not am.PlaneStrain:
         assert data.suppressed(mesh) == pytest.approx(2 * data.energy(mesh, still), rel=1e-12)
     else:  # free in the plane, it strains still

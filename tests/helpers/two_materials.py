@@ -12,6 +12,7 @@ from adaptmg.mesh import MeshArrays, structured
 KINDS = {"plane strain": am.PlaneStrain, "plane stress": am.PlaneStress, "axisymmetric": am.Axisymmetric,
          "solid": am.Solid}
 EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+BOTH_ELEMENTS = pytest.mark.parametrize("elements", ["linear", "smoothed"])
 
 
 def _glued(dim: int) -> MeshArrays:
