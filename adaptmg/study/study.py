@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from adaptmg import _checks as checks
+from adaptmg._text import printable
 from adaptmg.solver.fingerprint import Fingerprint, environment
 from adaptmg.study.designs import DesignLike, Point, Value, as_design, canonical, parameter_value
 from adaptmg.study.execute import RESERVED, Done, RunFunction, Task, commit, in_turn, now, study_fingerprint
@@ -278,7 +279,7 @@ class Study:
                         _log.log(logging.WARNING if record.error else logging.INFO, "study %s: [%d/%d] %s %s",
                                  self.name, watch.done, watch.total,
                                  ", ".join(f"{name}={record.parameters[name]!r}" for name in self.design.names),
-                                 f"failed: {record.error}" if record.error else
+                                 f"failed: {printable(record.error)}" if record.error else
                                  f"done in {record.seconds:.3g} s; {watch.words()}")
                         if throw and record.error:
                             raise outcome.exception or RuntimeError(record.error)
