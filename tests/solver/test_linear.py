@@ -138,25 +138,18 @@ def dense_condensation(local: LocalProblem) -> tuple[np.ndarray, np.ndarray]:
     return matrix[np.ix_(c, c)] - through @ matrix[np.ix_(i, c)], local.load[c] - through @ local.load[i]
 
 
-def together(*problems: DiscreteProblem) -> DiscreteProblem:
-    """Several bodies, contact nodes of the bodies in turns."""
-    shifts = np.cumsum([0, *(p.n_nodes for p in problems)])[:-1]
-    order = np.argsort(np.concatenate([np.arange(len(p.contact)) for p in problems]), kind="stable")
-
-    def joined(*arrays: np.ndarray) -> np.ndarray:
-        return np.concatenate(arrays)[order]
-
-    contacts = [p.contact for p in problems]
-    contact = ContactNodes(nodes=joined(*(c.nodes + shift for c, shift in zip(contacts, shifts, strict=True))),
-                           normals=joined(*(c.normals for c in contacts)), gaps=joined(*(c.gaps for c in contacts)))
-    return DiscreteProblem(
-        matrix=sparse.block_diag([p.matrix for p in problems], format="csr"), law=am.Coulomb(1.0), contact=contact,
-        load=np.concatenate([p.load for p in problems]), fixed=np.concatenate([p.fixed for p in problems]))
+def copies(one: DiscreteProblem, n: int) -> DiscreteProblem:
+    """Bodies that do not touch each other, their contact nodes in turns."""
+    nodes = (one.contact.nodes[:, None] + one.n_nodes * np.arange(n)).reshape(-1)
+    contact = ContactNodes(nodes=nodes, normals=np.repeat(one.contact.normals, n, axis=0),
+                           gaps=np.repeat(one.contact.gaps, n))
+    return DiscreteProblem(matrix=sparse.block_diag(n * [one.matrix], format="csr"), load=np.tile(one.load, n),
+                           fixed=np.tile(one.fixed, n), law=am.Coulomb(1.0), contact=contact)
 
 
 PROBLEMS = {"bar": lambda: bar(6), "block": lambda: bar(3, am.cases.greco_block(plane_strain=False)),
             "network": lambda: network(3, "coulomb", fixed_tangent=True).discrete,
-            "three bodies": lambda: together(*3 * [bar(3)]),
+            "three bodies": lambda: copies(bar(3), 3),
             "no coordinates": lambda: replace(bar(6), coordinates=None)}
 
 
@@ -185,10 +178,9 @@ def test_condensation_and_recovery_are_those_of_dense_algebra(name, dense, monke
 def test_a_body_that_nothing_holds_is_refused_or_left_out(dense, monkeypatch):
     monkeypatch.setattr(factorisation, "_DENSE", dense)
     held = bar(3)
-    both = together(held, replace(held, fixed=np.zeros(held.n_dofs, dtype=bool)))
-    keep = both.contact.nodes < held.n_nodes
-    loose = replace(both, contact=ContactNodes(
-        nodes=both.contact.nodes[keep], normals=both.contact.normals[keep], gaps=both.contact.gaps[keep]))
+    both = copies(held, 2)
+    of_held = {name: getattr(held.contact, name) for name in ("nodes", "normals", "gaps")}
+    loose = replace(both, fixed=np.r_[held.fixed, np.zeros_like(held.fixed)], contact=ContactNodes(**of_held))
     lenient = condense_problem(loose, lenient=True)
     for refuses in (condense_problem, lambda problem: condense(local_system(problem))):
         with pytest.raises(ValueError, match="singular even with all contact dofs fixed"):
