@@ -188,8 +188,10 @@ def moved(result: am.Result, folder) -> am.Result:
 
 
 @pytest.mark.parametrize("result", [result_on(square(3)), result_on(cube(2)), result_on(None),
-                                    result_on(square(2), history={}, path=[], levels=[], timings={})],
-                         ids=["2D", "3D", "bare", "without a history"])
+                                    result_on(square(2), history={}, path=[], levels=[], timings={}),
+                                    result_on(square(2), status=am.Status.DIVERGED, residual=float("inf"),
+                                              displacement=np.full((9, 2), np.nan))],
+                         ids=["2D", "3D", "bare", "without a history", "diverged"])
 def test_every_field_comes_back(tmp_path, result):
     found = moved(result, tmp_path)
     assert same(found, result)
@@ -205,12 +207,6 @@ def test_numbers_of_numpy_become_plain_ones(tmp_path):
     found = moved(given, tmp_path)
     assert type(found.cycles) is int and found.levels == plain.levels
     assert found.timings == plain.timings and found.path == plain.path
-
-
-def test_what_did_not_converge_may_hold_what_is_not_finite(tmp_path):
-    bad = result_on(square(2), status=am.Status.DIVERGED, displacement=np.full((9, 2), np.nan), residual=float("inf"))
-    found = moved(bad, tmp_path)
-    assert np.isnan(found.displacement).all() and found.residual == float("inf")
 
 
 def test_a_foreign_byte_order_is_read(tmp_path):
