@@ -126,6 +126,7 @@ def test_the_certificate_makes_a_method_go_on(method, monkeypatch):
     monkeypatch.setattr("adaptmg.multigrid.split_matrix.LARGE", 0)
     result = am.solve(grids, replace(METHODS[method], rtol=1e-8))
     assert distance(grids.finest.discrete, result.displacement, exact.displacement) <= 3e-8
+    assert not result.fallback
 
 
 def test_an_estimate_that_the_certificate_refutes_is_not_told(monkeypatch):
