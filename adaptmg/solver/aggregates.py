@@ -113,6 +113,14 @@ class Aggregates:
         self.label, self.count = label[inside].astype(np.int32), int(label.max(initial=-1)) + 1
         self.starts = np.append(0, np.cumsum(inside)).astype(np.int32)  # of the rows of the basis
         self.motions = self._rigid(np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside)
+        # a narrow band: the place of each aggregate, and how far it reaches
+        pairs = sparse.csr_array((np.ones(len(self.label), dtype=bool), self.label, self.starts), shape=(n, self.count))
+        graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr))
+        coarse = sparse.csr_array(pairs.T @ (graph @ pairs))
+        self.order = reverse_cuthill_mckee(coarse, symmetric_mode=True)
+        self.place = np.argsort(self.order).astype(np.int32)
+        rows = np.repeat(self.place, np.diff(coarse.indptr))
+        self.width = int(np.max(rows - self.place[coarse.indices], initial=0)) + 1
 
     def _rigid(self, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
         """Rigid motions (n, dim, modes): translations, and turns about the centre over the extent of an aggregate (root
@@ -180,25 +188,18 @@ def _project(at, motions, own, other, zero, forces, band):
 class CoarseCorrection:
     """B'(A + S)B of a contact status, factorised; S are blocks (n, dim, dim) at some nodes."""
 
-    def __init__(self, matrix: sparse.bsr_array, basis: sparse.bsr_array, nodes: np.ndarray, stiffening: np.ndarray
-                 ) -> None:
+    def __init__(self, matrix: sparse.bsr_array, aggregates: Aggregates, basis: sparse.bsr_array, nodes: np.ndarray,
+                 stiffening: np.ndarray) -> None:
         self._basis, self._transposed, (_, dim, modes) = basis, basis.T, basis.data.shape
-        # a narrow band
-        pairs = sparse.csr_array((np.ones(len(basis.indices), dtype=bool), basis.indices, basis.indptr))
-        graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr))
-        coarse = sparse.csr_array(pairs.T @ (graph @ pairs))
-        order = reverse_cuthill_mckee(coarse, symmetric_mode=True)
-        place = np.argsort(order).astype(np.int32)
-        rows = np.repeat(place, np.diff(coarse.indptr))
-        band = np.zeros((modes * len(order), modes * (int(np.max(rows - place[coarse.indices], initial=0)) + 1)))
+        band = np.zeros((modes * aggregates.count, modes * aggregates.width))
         motions = basis.data.swapaxes(1, 2).reshape(-1)
-        arguments = basis.indptr, basis.indices, motions, place, ZERO[dim], np.zeros(dim * modes), band
+        arguments = basis.indptr, basis.indices, motions, aggregates.place, ZERO[dim], np.zeros(dim * modes), band
         _fill(matrix.indptr, matrix.indices, matrix.data.reshape(-1), *arguments)
         if stiffening.any():
             more = at_nodes(nodes, stiffening, basis.shape[0])
             _fill(more.indptr, more.indices, more.data.reshape(-1), *arguments)
         band[:, 0] += raised(band[:, 0])
-        self._order = (modes * order[:, None] + np.arange(modes)).reshape(-1)
+        self._order = (modes * aggregates.order[:, None] + np.arange(modes)).reshape(-1)
         try:
             self._factor = linalg.cholesky_banded(band.T, overwrite_ab=True, lower=True, check_finite=False)
         except linalg.LinAlgError:

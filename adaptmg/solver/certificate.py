@@ -176,8 +176,7 @@ class Evidence:
         energy = _sum(self.unknowns, load - residual)
         energy += 0.0 if problem.volumes is None else problem.volumes.energy(pressures)
         self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0))))
-        self.blocks = diagonal_blocks(problem.matrix)
-        diagonal = np.einsum("nii->ni", self.blocks)
+        diagonal = np.einsum("nii->ni", diagonal_blocks(problem))
         self.fixed = problem.fixed.reshape(shape)
         self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
         self.normals = problem.contact.normals
@@ -325,8 +324,7 @@ class Evidence:
         exerted = forces[contact.nodes] + lawful
         if self.problem.volumes is not None:
             missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
-        corrected = correction(self.problem, self.blocks, status, forces, missed, aggregates, negligible,
-                               self.rounding)
+        corrected = correction(self.problem, status, forces, missed, aggregates, negligible, self.rounding)
         gap = here.gap - _along(change[contact.nodes] - corrected.moved, contact.normals)
         pressure = -_along(exerted - corrected.forces, contact.normals)
         deepest = -_WRONG * np.linalg.norm(corrected.moved, axis=1).max(initial=0.0)

@@ -37,7 +37,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from adaptmg._numba import kernel
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import ONE, ZERO, add, increase, read, subtract, times, transposed_times, write
 from adaptmg.smoother.strips import Strips
 from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, at_nodes
@@ -63,7 +63,7 @@ FACTORISED = {2: 100_000, 3: 30_000}
 class FrozenStatus:
     """The displacements that keep a contact status."""
 
-    held: np.ndarray  # (m,) int: nodes that may not move freely: in supports, and in contact
+    held: np.ndarray  # (m,) int: nodes that may not move freely: in contact, then the others in supports
     kept: np.ndarray  # (m, dim, dim): projections there onto what may move
     nodes: np.ndarray  # (n_contact,) int: contact nodes
     stiffening: np.ndarray  # (n_contact, dim, dim): of friction that turns with the slip (3D), N/m
@@ -74,14 +74,18 @@ class FrozenStatus:
         vector[self.held] = np.einsum("nij,nj->ni", self.kept, vector[self.held])
 
 
-def diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
-    """Return the diagonal blocks (n_nodes, dim, dim) of a matrix."""
+@remembered_of_structure
+def diagonal_blocks(problem: DiscreteProblem) -> np.ndarray:
+    """Return the diagonal blocks (n_nodes, dim, dim) of the matrix."""
+    matrix = problem.matrix
     numbers = np.arange(len(matrix.indices), dtype=np.int32)
     return matrix.data[sparse.csr_array((numbers, matrix.indices, matrix.indptr)).diagonal()]
 
 
-def _inverses(blocks: np.ndarray) -> np.ndarray:
-    """The inverses of (n, dim, dim) blocks by cofactors."""
+@remembered_of_structure
+def _inverses(problem: DiscreteProblem) -> np.ndarray:
+    """The inverses of the diagonal blocks by cofactors."""
+    blocks = diagonal_blocks(problem)
     if blocks.shape[1] == 2:
         adjugates = np.empty_like(blocks)
         adjugates[:, 0, 0], adjugates[:, 1, 1] = blocks[:, 1, 1], blocks[:, 0, 0]
@@ -140,20 +144,20 @@ def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, lo
 class _Preconditioner:
     """Forward Gauss-Seidel, coarse correction, backward Gauss-Seidel on the matrix of a status."""
 
-    def __init__(self, matrix: sparse.bsr_array, diagonal: np.ndarray, status: FrozenStatus, aggregates: Aggregates
-                 ) -> None:
-        blocks, held, kept = diagonal.copy(), status.held, status.kept
-        dim = blocks.shape[1]
+    def __init__(self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates) -> None:
+        matrix, dim, held, kept = problem.matrix, problem.dim, status.held, status.kept
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
-        blocks[status.nodes] += status.stiffening
-        self._coarse = CoarseCorrection(matrix, aggregates.basis(held, kept), status.nodes, status.stiffening)
+        basis = aggregates.basis(held, kept)
+        self._coarse = CoarseCorrection(matrix, aggregates, basis, status.nodes, status.stiffening)
+        blocks = diagonal_blocks(problem)[held]
+        blocks[:len(status.nodes)] += status.stiffening
         # what is projected away has no stiffness
-        stiffness, axes = np.linalg.eigh(kept @ blocks[held] @ kept)
+        stiffness, axes = np.linalg.eigh(kept @ blocks @ kept)
         size = np.abs(stiffness)
         stiffness[size <= 1e-12 * size.max(axis=1, initial=0.0, keepdims=True)] = np.inf
-        inverse = _inverses(blocks)
+        inverse = _inverses(problem).copy()
         inverse[held] = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
         self._inverse = inverse.reshape(-1)
 
@@ -178,13 +182,12 @@ class HeldCorrection:
     forces: np.ndarray  # (n_contact, dim): the matrix times it there, N
 
 
-def correction(problem: DiscreteProblem, diagonal: np.ndarray, status: FrozenStatus, residual: np.ndarray,
-               missed: np.ndarray | None, aggregates: Aggregates | None, negligible: float, rounding: float
-               ) -> HeldCorrection:
+def correction(problem: DiscreteProblem, status: FrozenStatus, residual: np.ndarray, missed: np.ndarray | None,
+               aggregates: Aggregates | None, negligible: float, rounding: float) -> HeldCorrection:
     """Return the correction that a residual (n_nodes, dim), and the volumes ``missed`` (n_groups,), bring about in the
     space of a status. If its energy is at most ``negligible`` after the first step, 36 times that after the second, or
     81 times after the third, that is the answer. A residual whose norm is at most ``rounding`` loads no motion. Without
-    aggregates by factors; the residual is overwritten. ``diagonal`` are the blocks of the matrix."""
+    aggregates by factors; the residual is overwritten."""
     status.project(residual)
     load = residual.reshape(-1)
     if missed is not None:
@@ -194,7 +197,7 @@ def correction(problem: DiscreteProblem, diagonal: np.ndarray, status: FrozenSta
         none = np.zeros((len(status.nodes), problem.dim))
         return HeldCorrection(0.0 if size == 0.0 else np.inf, none, none)
     if aggregates is not None:
-        estimate, settled = _estimated(_Equations(problem, diagonal, status, aggregates), load, negligible)
+        estimate, settled = _estimated(_Equations(problem, status, aggregates), load, negligible)
         if settled or problem.n_dofs > FACTORISED[problem.dim]:
             return estimate
     return _factorised(problem, status, load, rounding)
@@ -220,10 +223,9 @@ class _Direction:
 class _Equations:
     """The equations of a status; the signs of those of volumes make them positive."""
 
-    def __init__(self, problem: DiscreteProblem, diagonal: np.ndarray, status: FrozenStatus, aggregates: Aggregates
-                 ) -> None:
+    def __init__(self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates) -> None:
         self.n, self.status, self.volumes = problem.n_dofs, status, problem.volumes
-        self.precondition = _Preconditioner(problem.matrix, diagonal, status, aggregates)
+        self.precondition = _Preconditioner(problem, status, aggregates)
         self.symmetric = self.volumes is None and not status.dragged.any()
         self.most = _MOST if self.symmetric else _MOST_COULOMB if self.volumes is None else _MOST_VOLUMES
 

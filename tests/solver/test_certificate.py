@@ -316,7 +316,7 @@ def test_the_coarse_correction_is_galerkins(problem):
     basis = Aggregates(discrete).basis(every, kept)
     dense, residual = discrete.matrix.toarray(), np.random.default_rng(0).standard_normal(n * dim)
     blocks = np.stack([np.diag(row) for row in discrete.matrix.diagonal().reshape(n, dim)])
-    coarse = CoarseCorrection(discrete.matrix, basis, every, blocks)(residual)
+    coarse = CoarseCorrection(discrete.matrix, found, basis, every, blocks)(residual)
     basis, dense = basis.toarray(), dense + np.diag(np.diag(dense))
     exact = basis @ np.linalg.solve(basis.T @ dense @ basis, basis.T @ residual)
     np.testing.assert_allclose(coarse, exact, atol=1e-8 * abs(exact).max())
