@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
-from adaptmg.geometry.search import STACK, BoxTree, leaf_range, padded
+from adaptmg.geometry.search import STACK, BoxTree, leaf_range, morton_order, padded
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,8 @@ class SimplexLocator:
         n = len(queries)
         holder, weights, distance = np.empty(n, dtype=np.int64), np.empty((n, self.dim + 1)), np.zeros(n)
         # about as long as it takes to read 20 numbers a point
-        in_parts(locate, n, 20 * n, padded(queries), self.maps, self.tree.boxes, holder, weights, joined=False)
+        in_parts(locate, n, 20 * n, padded(queries), morton_order(queries), self.maps, self.tree.boxes, holder, weights,
+                 joined=False)
         element = self.tree.order[holder]
         if len(outside := np.flatnonzero(holder < 0)):
             element[outside], weights[outside], distance[outside] = self.tree.nearest(queries[outside])
@@ -106,37 +107,42 @@ def _box_contains(boxes, node, x, y, z, dim):
 
 
 @inner_kernel
-def _holder(x, y, z, maps, boxes, dim, stack):
-    """The position of an element that contains a point, -1 if there is none."""
+def _holder(x, y, z, start, maps, boxes, dim, stack):
+    """The position of an element that contains a point and its leaf, -1 if there is none; leaf ``start`` comes first,
+    then its sibling, its parent's sibling, and so on up to the root."""
     n = len(maps)
     n_leaves = (len(boxes) + 1) // 2
-    stack[0] = 0
+    top = stack[0] = start
     depth = 1
     while depth > 0:  # each node of the tree comes once
         depth -= 1
         node = stack[depth]
-        if not _box_contains(boxes, node, x, y, z, dim):
-            continue
-        if node < n_leaves - 1:
-            stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
-            depth += 2
-            continue
-        first, last = leaf_range(node, n_leaves, n)
-        for s in range(first, last):
-            if _inside(maps, s, x, y, z, dim):
-                return s
-    return -1
+        if _box_contains(boxes, node, x, y, z, dim):
+            if node < n_leaves - 1:
+                stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
+                depth += 2
+                continue
+            first, last = leaf_range(node, n_leaves, n)
+            for s in range(first, last):
+                if _inside(maps, s, x, y, z, dim):
+                    return s, node
+        if depth == 0 and top > 0:
+            stack[0], top = top + 1 if top % 2 == 1 else top - 1, (top - 1) // 2
+            depth = 1
+    return -1, start
 
 
 @kernel
-def locate(first, last, queries, maps, boxes, holder, weights):
-    """Find the position of an element that holds each of ``queries[first:last]`` (n, 3), -1 if there is none."""
+def locate(first, last, queries, sequence, maps, boxes, holder, weights):
+    """Find the position of an element that holds each of ``queries`` (n, 3) in the order ``sequence[first:last]``, -1
+    if there is none."""
     dim = weights.shape[1] - 1
     stack = np.empty(STACK, dtype=np.int64)
-    for q in range(first, last):
+    leaf = len(boxes) // 2
+    for q in sequence[first:last]:
         # numbers, not slices: making a slice costs more than looking into an element
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        holder[q] = _holder(x, y, z, maps, boxes, dim, stack)
+        holder[q], leaf = _holder(x, y, z, leaf, maps, boxes, dim, stack)
         if holder[q] >= 0:
             _take_clipped(maps, holder[q], x, y, z, dim, q, weights)
 

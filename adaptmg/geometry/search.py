@@ -2,9 +2,9 @@ r"""A tree of bounding boxes over simplices: which is the nearest to a point, wh
 
 The simplices are laid along a Morton curve and cut into 2^m leaves of equal count; node i of the complete binary tree
 has the children 2 i + 1 and 2 i + 2 and the box of all simplices below it. Leaves hold the same number of simplices
-whatever their sizes, so graded meshes cost what uniform ones do (a grid of cells does not have this). For Morton codes
-a coordinate is cut into 2^31 (2D) or 2^21 (3D) steps over the bounding box, and the bits of the components are
-interleaved.
+whatever their sizes, so graded meshes cost what uniform ones do (a grid of cells does not have this). Points to locate
+are taken along a Morton curve too and climb from the leaf where the last one ended. For Morton codes a coordinate is
+cut into 2^31 (2D) or 2^21 (3D) steps over the bounding box, and the bits of the components are interleaved.
 
 Closest points are found on segments, triangles (by their Voronoi regions: Ericson, Real-Time Collision Detection, 2005,
 section 5.1.5) and tetrahedra (the closest of the four faces: callers test for points inside before). Kernels read
