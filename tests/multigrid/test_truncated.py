@@ -1,6 +1,7 @@
 """The truncated multigrid: agreement with independent solutions, mesh independence, failures, user-defined parts."""
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -150,27 +151,19 @@ class Jacobi:
         return x
 
 
-@pytest.fixture(scope="module")
-def uniform():
-    return am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
-
-
-@pytest.fixture(scope="module")
-def joint():
-    # no body is held by contact alone: its coarsest matrix is regular
-    return am.Hierarchy.graded(am.cases.bolted_junction(), sizes=(12e-3, 8e-3, 5e-3))
-
-
-@pytest.fixture(scope="module")
-def spaces(uniform):
-    return am.Hierarchy.algebraic(uniform.finest.discrete, max_coarse=20)
+@cache
+def levels(name):
+    if name == "joint":  # no body is held by contact alone: its coarsest matrix is regular
+        return am.Hierarchy.graded(am.cases.bolted_junction(), sizes=(12e-3, 8e-3, 5e-3))
+    uniform = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
+    return uniform if name == "uniform" else am.Hierarchy.algebraic(uniform.finest.discrete, max_coarse=20)
 
 
 @pytest.mark.parametrize("grids, method", [
     ("uniform", am.FullMultigrid), ("uniform", am.Multigrid), ("joint", am.FullMultigrid)])
-def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method, request, monkeypatch):
+def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method, monkeypatch):
     monkeypatch.setattr(TruncatedIteration, "MOVES", 0)  # the right status at once may leave a singular matrix
-    grids, matrices = request.getfixturevalue(grids), []
+    grids, matrices = levels(grids), []
     own = SimpleNamespace(setup=lambda matrix: matrices.append(matrix.copy()) or splu(sparse.csc_array(matrix)))
     expected = am.solve(grids, method())
     found = am.solve(grids, method(correction=am.Truncated(coarse_solve=own)))
@@ -180,7 +173,8 @@ def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method, request,
     assert len(matrices) > 1 and all((abs(matrix).sum(axis=1) > 0).all() for matrix in matrices)
 
 
-def test_an_iterative_one_is_counted(uniform):
+def test_an_iterative_one_is_counted():
+    uniform = levels("uniform")
     own = am.solve(uniform, am.FullMultigrid(correction=am.Truncated(coarse_solve=Jacobi())))
     exact = am.solve(uniform, am.FullMultigrid())
     assert own.status.ok and far(own, exact) < 1e-6
@@ -190,8 +184,8 @@ def test_an_iterative_one_is_counted(uniform):
 
 @pytest.mark.parametrize("grids, method", [("uniform", am.FullMultigrid), ("joint", am.FullMultigrid),
                                            ("spaces", am.Multigrid)])
-def test_a_smoother_below_the_finest_level(grids, method, request):
-    grids = request.getfixturevalue(grids)
+def test_a_smoother_below_the_finest_level(grids, method):
+    grids = levels(grids)
     assert len(grids) > 2
     own = am.solve(grids, method(correction=am.Truncated(coarse_smoother=Jacobi())))
     expected = am.solve(grids, method())
