@@ -74,8 +74,12 @@ def test_the_active_set_method_takes_over(failing):
         result = am.solve(grids, am.Multigrid())
         assert "ActiveSet from cycle" in result.fallback
         assert np.isnan(result.rate)  # of Newton steps it would be that of no cycle
+        # one count of cycles and of work for both
         assert result.history["cycle"][-1] == result.cycles
+        assert all((np.diff(result.history[name]) >= 0).all() for name in ("cycle", "work_units"))
         assert np.abs(result.displacement - exact).max() < 1e-8 * np.abs(exact).max()
+        early = am.solve(grids, am.Multigrid(max_cycles=2), throw=False)
+        assert early.status is am.Status.LIMIT and not early.fallback
 
 
 @pytest.mark.parametrize("reason", ["too large", "gives up"])

@@ -105,19 +105,6 @@ def test_bare_matrices():
             am.solve(solid, needing)
 
 
-@pytest.mark.filterwarnings("ignore:friction")
-def test_the_active_set_method_takes_over_from_large_friction():
-    hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(5.0)), divisions=(4, 8, 16, 32, 64))
-    result = am.solve(hierarchy, am.FullMultigrid())
-    assert result.residual <= 1e-7 and "ActiveSet from cycle" in result.fallback
-    # one count of cycles and of work for both
-    steps = result.history["cycle"]
-    assert (np.diff(steps) >= 0).all() and steps[-1] == result.cycles <= 100
-    assert (np.diff(result.history["work_units"]) >= 0).all()
-    early = am.solve(hierarchy, am.FullMultigrid(max_cycles=20), throw=False)
-    assert early.status is am.Status.LIMIT and not early.fallback
-
-
 def test_cycles_of_a_nested_start():
     one, finer = (level.discrete for level in am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8)).levels)
     joint = am.Hierarchy.graded(am.cases.dovetail(), (12e-3, 9e-3, 4e-3), 1.0)
