@@ -313,7 +313,8 @@ def test_the_coarse_correction_is_galerkins(problem):
     n, dim = discrete.n_nodes, discrete.dim
     every, kept = np.arange(n), np.tile(np.eye(dim), (n, 1, 1))
     kept[:3, 0] = 0.0
-    basis = Aggregates(discrete).basis(every, kept)
+    found = Aggregates(discrete)
+    basis = found.basis(every, kept)
     dense, residual = discrete.matrix.toarray(), np.random.default_rng(0).standard_normal(n * dim)
     blocks = np.stack([np.diag(row) for row in discrete.matrix.diagonal().reshape(n, dim)])
     coarse = CoarseCorrection(discrete.matrix, found, basis, every, blocks)(residual)
