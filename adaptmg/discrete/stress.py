@@ -60,8 +60,11 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
 def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """Return the gradients d u_i / d x_j (n_elements, dim, dim)."""
-    slopes, _ = shape_gradients(mesh)
-    return _nodal(mesh, displacement)[mesh.elements].swapaxes(1, 2) @ slopes
+    (slopes, _), corners = shape_gradients(mesh), _nodal(mesh, displacement).take(mesh.elements, axis=0)
+    gradients = np.empty((len(corners), mesh.dim, mesh.dim))
+    for i, j in np.ndindex(mesh.dim, mesh.dim):  # three times as fast as products of small matrices
+        gradients[:, i, j] = np.einsum("nk,nk->n", corners[:, :, i], slopes[:, :, j])
+    return gradients
 
 
 def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -269,24 +272,25 @@ def _fits(patches: sparse.csr_array, places: np.ndarray, centroids: np.ndarray, 
     """Fits a, B (n, dim + 1, n_values) around places (n, dim) and whether the patches (n, n_elements) determine them;
     elsewhere a is the mean."""
     first, rows = patches.indptr[:-1], np.repeat(np.arange(len(places)), np.diff(patches.indptr))
-    away = centroids[patches.indices] - places[rows]
+    away = centroids.take(patches.indices, axis=0) - places.take(rows, axis=0)
     size = np.maximum.reduceat(np.abs(away), first).max(axis=1)
     terms = np.column_stack([np.ones(len(rows)), away / size[rows, None]])
-    (n, k), samples = (len(places), terms.shape[1]), values[patches.indices]
-    matrix, sides, good = np.empty((n, k, k)), np.empty((n, k, values.shape[1])), np.ones(n, dtype=bool)
+    (n, k), samples = (len(places), terms.shape[1]), values.take(patches.indices, axis=0)
+    # numbers of all nodes side by side
+    matrix, sides, good = np.empty((k, k, n)), np.empty((k, values.shape[1], n)), np.ones(n, dtype=bool)
     for a in range(k):
         sums = sparse.csr_array((terms[:, a], np.arange(len(terms)), patches.indptr), shape=(n, len(terms)))
-        matrix[:, a], sides[:, a] = sums @ terms, sums @ samples
-    means, limit = sides[:, 0] / matrix[:, 0, 0, None], _SINGULAR * matrix[:, 0, 0]
+        matrix[a], sides[a] = (sums @ terms).T, (sums @ samples).T
+    means, limit = sides[0] / matrix[0, 0], _SINGULAR * matrix[0, 0]
     for a in range(k):
-        good &= matrix[:, a, a] > limit
-        matrix[~good, a, a] = 1.0
-        factor = matrix[:, a + 1:, a] / matrix[:, a, a, None]
-        matrix[:, a + 1:] -= factor[:, :, None] * matrix[:, a, None]
-        sides[:, a + 1:] -= factor[:, :, None] * sides[:, a, None]
+        good &= matrix[a, a] > limit
+        matrix[a, a, ~good] = 1.0
+        factor = matrix[a + 1:, a] / matrix[a, a]
+        matrix[a + 1:] -= factor[:, None] * matrix[a]
+        sides[a + 1:] -= factor[:, None] * sides[a]
     for a in reversed(range(k)):
-        sides[:, a] -= np.einsum("nb,nbc->nc", matrix[:, a, a + 1:], sides[:, a + 1:])
-        sides[:, a] /= matrix[:, a, a, None]
-    sides[:, 1:] /= size[:, None, None]
-    sides[~good, 0] = means[~good]
-    return sides, good
+        sides[a] -= (matrix[a, a + 1:, None] * sides[a + 1:]).sum(axis=0)
+        sides[a] /= matrix[a, a]
+    sides[1:] /= size
+    sides[0] = np.where(good, sides[0], means)
+    return sides.transpose(2, 0, 1), good

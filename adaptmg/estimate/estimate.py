@@ -399,7 +399,8 @@ def jump_squares(this: Posed) -> np.ndarray:
         jump = np.subtract(*(stress.tractions(elements, surface.normals, facets, rule) for elements in (one, other)))
         squares = np.einsum("fqd,fqd,fq->f", jump, jump, weights)
     else:
-        change, vectors = (stress.values[one] - stress.values[other]).T, surface.vectors.T
+        values, vectors = stress.values.T, surface.vectors.T
+        change = values.take(one, axis=1) - values.take(other, axis=1)
         jumps = [sum(change[c] * part for c, part in zip(row, vectors, strict=True)) for row in stress.columns]
         squares = sum(jump * jump for jump in jumps) / surface.measures
     squares *= 0.5 * (surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures))

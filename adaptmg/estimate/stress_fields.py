@@ -131,7 +131,7 @@ def neighbours(mesh: MeshArrays) -> Neighbours:
         raise ValueError(f"mesh: boundary facet {lost[0]} of nodes {mesh.facets[lost[0]].tolist()} belongs to no "
                          "element")
     side = order[place]
-    return Neighbours(inside // k, facets[inside[0]], side // k, alone[side])
+    return Neighbours(inside // k, facets.take(inside[0], axis=0), side // k, alone[side])
 
 
 _OTHER_STEP = ("of a load step, or where forces are prescribed, give hierarchy.with_problem("

@@ -238,11 +238,10 @@ class Surface:
     @cached_property
     def vectors(self) -> np.ndarray:
         """Area vectors (n, dim)."""
-        corners = self.points[self.facets]
-        first = corners[:, 1] - corners[:, 0]
+        start, *ends = (self.points.take(corners, axis=0) for corners in self.facets.T)
         if self.points.shape[1] == 2:
-            return np.column_stack([first[:, 1], -first[:, 0]])
-        return 0.5 * np.cross(first, corners[:, 2] - corners[:, 0])
+            return (ends[0] - start)[:, ::-1] * [1.0, -1.0]
+        return 0.5 * np.cross(ends[0] - start, ends[1] - start)
 
     @cached_property
     def measures(self) -> np.ndarray:
@@ -433,11 +432,11 @@ def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
     dim = facets.shape[1]
     if n_nodes > MOST_NODES[dim]:
         raise ValueError(f"a {dim}D mesh may have at most {MOST_NODES[dim]} nodes, got {n_nodes}")
-    nodes = np.sort(facets.astype(np.int64), axis=1)
-    key = nodes[:, 0]
-    for column in nodes.T[1:]:
-        key = key * n_nodes + column
-    return key
+    nodes = np.ascontiguousarray(facets.T, dtype=np.int64)
+    lowest, highest = nodes.min(axis=0), nodes.max(axis=0)
+    if dim == 2:
+        return lowest * n_nodes + highest
+    return (lowest * n_nodes + (nodes.sum(axis=0) - lowest - highest)) * n_nodes + highest
 
 
 def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
