@@ -1,4 +1,4 @@
-"""The active set method: its steps are those of Newton, few, from any start; that they are right: tests/agreement."""
+"""The active set method: its steps are few, from any start; that they are right: tests/agreement."""
 
 from functools import cache
 
