@@ -72,22 +72,6 @@ def test_stress_intensity_factors_are_those_of_an_infinite_plate():
         replace(result, stress_data=StressData.of(result.mesh, layered)).stress_intensity("crack")
 
 
-def test_a_crack_sticks_until_shear_falls_by_twice_the_friction():
-    sides = {"top": (1, 0), "bottom": (-1, 0), "right": (0, 1), "left": (0, -1)}
-    problem = am.ContactProblem(
-        domain=am.Cracked(am.Rectangle(width=40, height=40, origin=(-20, -20)), {"crack": [(-1, 0), (1, 0)]}),
-        material=am.PlaneStrain(young=1.0, poisson=0.3), law=am.Coulomb(0.3),
-        contact=am.ContactPair("crack.left", "crack.right"),
-        loads=(am.Pressure("top", P), am.Pressure("bottom", P), *(
-            am.Traction(side, (P * x, P * y), name="shear") for side, (x, y) in sides.items())),
-        supports=(am.PointSupport((-20, -20), x=0, y=0), am.PointSupport((20, -20), y=0)))
-    grids = am.Hierarchy.graded(problem, (4, 2), 32)
-    path = am.LoadPath({"shear": [0.0, 0.2, 1.0, 0.45, 0.2]})
-    steps = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-6))
-    found = [step.stress_intensity("crack", 1).K_II / (P * np.sqrt(np.pi)) for step in steps]
-    np.testing.assert_allclose(found, [0, 0, 0.7, 0.7, 0.5], atol=0.01)
-
-
 def test_factors_of_an_arc_are_those_of_muskhelishvili():
     half_angle = np.pi / 6
     angles = np.linspace(-half_angle, half_angle, 65)

@@ -156,18 +156,15 @@ def test_rigid_motions_cost_no_energy_and_nothing_else_does(mesh, material, elem
 @BOTH_ELEMENTS
 @EACH_CASE
 def test_patch_test(mesh, material, elements):
-    """A linear field (u_r = c r in axisymmetry) prescribed on the boundary is found inside, with exact energy."""
+    """A linear field (u_r = c r in axisymmetry) leaves the nodes inside without force, with exact energy."""
     dim, axisymmetric = mesh.dim, is_axisymmetric(material)
     gradient = 1e-3 * np.random.default_rng(1).normal(size=(dim, dim))
     if axisymmetric:
         gradient = np.diag([3e-4, -1e-3])
-    exact = mesh.points @ gradient.T
-    held = np.zeros(mesh.points.shape, dtype=bool)
-    held[np.unique(mesh.facets)] = True
-    held, u = held.reshape(-1), exact.reshape(-1).copy()
-    matrix = supported_stiffness(mesh, material, (), elements).toarray()
-    u[~held] = np.linalg.solve(matrix[np.ix_(~held, ~held)], -matrix[np.ix_(~held, held)] @ u[held])
-    np.testing.assert_allclose(u.reshape(-1, dim), exact, atol=1e-14)
+    u, inside = (mesh.points @ gradient.T).reshape(-1), np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
+    matrix = supported_stiffness(mesh, material, (), elements)
+    force = (matrix @ u).reshape(-1, dim)
+    np.testing.assert_allclose(force[inside], 0, atol=1e-13 * np.abs(force).max())
     strain = np.zeros((3, 3))
     strain[:dim, :dim] = 0.5 * (gradient + gradient.T)
     expected = np.broadcast_to(strain[:dim, :dim], (len(mesh.elements), dim, dim))

@@ -109,22 +109,10 @@ class TestFlat:
         np.testing.assert_allclose(found.coupling @ points, opposite, atol=4 * scale)
         np.testing.assert_allclose(found.gaps, (gap or 0.0) * followed, atol=4 * scale)
 
-    @pytest.mark.parametrize("covered", [1.01e-3, 1e-2, 0.5])
-    @pytest.mark.parametrize("axisymmetric", [False, True])
-    def test_small_coverage_stays_stable(self, covered, axisymmetric):
-        xs, xm = np.linspace(0, 1, 6), np.r_[0.2 * (1 - covered), 0.3, 0.55, 0.8 + 0.2 * covered]
-        found = mortar(*two(line(xs), line(xm, up=True)), axisymmetric=axisymmetric)
-        a, b = xm[[0, -1]]
-        assert found.weights.sum() == pytest.approx(np.pi * (b**2 - a**2) if axisymmetric else b - a, rel=1e-11)
-        np.testing.assert_allclose(found.coupling.sum(axis=1), 1, atol=1e-11)
-        np.testing.assert_allclose((found.coupling @ np.r_[xs, xm[::-1]])[found.nodes > 0], xs[found.nodes > 0],
-                                   atol=1e-11)
-        np.testing.assert_array_equal(found.nodes, np.arange(6))
-        assert np.abs(found.coupling.data).max() < 20 / covered
-
-    def test_less_coverage_is_dropped(self):
-        xs, xm = np.linspace(0, 1, 6), np.array([0.2 - 1.9e-4, 0.5, 1.0])
-        np.testing.assert_array_equal(mortar(*two(line(xs), line(xm, up=True))).nodes, np.arange(1, 6))
+    @pytest.mark.parametrize(("covered", "first"), [(0.95e-3, 1), (1.05e-3, 0)])
+    def test_less_coverage_is_dropped(self, covered, first):
+        xs, xm = np.linspace(0, 1, 6), np.array([0.2 * (1 - covered), 0.5, 1.0])
+        np.testing.assert_array_equal(mortar(*two(line(xs), line(xm, up=True))).nodes, np.arange(first, 6))
 
     def test_a_hole_in_the_master_surface(self):
         xs, left, right = np.linspace(0, 1, 4), np.array([0.0, 0.21, 0.4]), np.array([0.55, 0.8, 1.0])
@@ -192,14 +180,6 @@ class TestCurved:
     def test_second_order(self, errors):
         coarse, fine, finer = (errors(n) for n in (48, 96, 192))
         assert (coarse > 3.3 * fine).all() and (fine > 3.6 * finer).all() and (finer < 1e-4).all()
-
-    def test_press_fit_finds_the_near_side(self):
-        # hole of radius 1, shaft of radius 1.02: the rays also meet the far side of the hole
-        data = two(arc(1.02, np.linspace(0, 2 * np.pi, 60, endpoint=False)),
-                   arc(1.0, -np.linspace(0, 2 * np.pi, 70, endpoint=False)), closed=True)
-        found = mortar(*data)
-        np.testing.assert_allclose(found.gaps, -0.02, atol=3e-3)
-        np.testing.assert_allclose(found.coupling @ data[0], data[0][:60], atol=0.03)
 
     @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
     def test_the_nearest_surface_counts(self, order):

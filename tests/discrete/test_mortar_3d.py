@@ -120,13 +120,6 @@ def test_excluded_nodes_are_followed(count):
     np.testing.assert_allclose(interface.gaps, 0.2 * (1 + followed), rtol=1e-11)
 
 
-def test_nodes_without_coverage_are_left_out():
-    points, slave, master = joined(square(100, 1, up=DOWN, high=(3, 1), z=0.1), square(30, 2, up=UP))
-    interface = couple(points, slave, master)
-    reached = np.unique(slave[(points[slave, 0] < 1).any(axis=1)])
-    np.testing.assert_array_equal(interface.nodes, reached)
-
-
 def test_a_plane_gap_is_exact_at_the_nodes():
     flat, slave, master = joined(square(60, 3, up=DOWN), square(60, 4, up=UP, low=(-0.2, -0.2), high=(0.8, 1.3)))
     points = flat.copy()
@@ -212,5 +205,3 @@ def test_a_narrow_strip_of_coverage_is_stable():
     np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-10)
     np.testing.assert_allclose(interface.gaps, 0.1, atol=1e-10)
     assert interface.weights.sum() == pytest.approx(1e-6, rel=1e-2)
-
-

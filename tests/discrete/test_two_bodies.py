@@ -125,8 +125,6 @@ def nested(problem):
 
 #: that all methods agree between bodies: tests/agreement
 PROBLEMS = {
-    "interference": lambda law: bodies.bar_hierarchy(bodies.bar_on_block(law, gap=lambda x: bodies.bumpy(x) - 5e-6,
-                                                           allow_interference=True)),
     "corner": lambda law: am.Hierarchy.graded(bodies.corner_pushed(law), sizes=(0.5, 0.3, 0.17), contact_ratio=1.5),
     "wavy 3D": lambda law: nested(block_on_slab(law, LOWER_ON_UPPER, gap=wavy)),
     "node to node 3D": lambda law: am.Hierarchy.uniform(block_on_slab(law, coupling="nodes"), [

@@ -78,15 +78,6 @@ class TestDomains:
             np.testing.assert_allclose([domain.lower, domain.upper], [lower, upper], rtol=1e-14, atol=1e-14)
         assert ball.area == pytest.approx(9 * math.pi)
 
-    def test_polygons(self):
-        square = am.Rectangle(width=2.0, height=1.0, origin=(1.0, 1.0)).outline
-        assert square.vertices == ((1, 1), (3, 1), (3, 2), (1, 2)) and square.area == 2
-        assert square.boundaries == ("bottom", "right", "top", "left") and square.outline is square
-        polygon = am.Polygon(vertices=square.vertices, boundaries=square.boundaries)
-        assert polygon == dataclasses.replace(polygon) and len({polygon, dataclasses.replace(polygon)}) == 1
-        with pytest.raises(TypeError, match="arcs"):
-            am.Polygon(vertices=square.vertices, boundaries=square.boundaries, arcs={})
-
     def test_area_and_lengths_are_exact(self):
         assert HALF.area == pytest.approx(math.pi, rel=1e-14) and HALF.lengths == pytest.approx((math.pi, 2.0, 2.0))
         assert self.HOLE.area == pytest.approx(9 - math.pi / 4, rel=1e-14)
