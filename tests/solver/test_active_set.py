@@ -1,5 +1,6 @@
 """The active set method: its steps are few, from any start; that they are right: tests/agreement."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -36,6 +37,8 @@ def test_solution_does_not_depend_on_the_start(name):
     for start in (solved(name), expected):
         again = am.solve(grids(name), am.ActiveSet(), start=start)
         assert again.cycles == 1 and closeness(again, expected) < 1e-13
+    # on the whole matrix a derivative that is wrong by a tenth costs two steps and more
+    assert am.solve(grids(name), am.ActiveSet(condensed=False)).cycles <= 9
 
 
 @pytest.mark.parametrize(("friction", "most"), [(0.2, 10), (1.0, 11), (2.0, 13)])
@@ -91,12 +94,13 @@ def test_linear_solvers_get_the_symmetry_and_modes_of_what_moves(name):
             dense = matrix.toarray()
             assert (np.abs(dense - dense.T).max() < 1e-12 * np.abs(dense).max()) == symmetric
             assert preconditioner is None or abs(preconditioner - preconditioner.T).max() < 1e-12 * abs(matrix).max()
-            assert not near_nullspace[(dense != 0).sum(axis=1) == 1].any()
+            assert near_nullspace.any() and not near_nullspace[(dense != 0).sum(axis=1) == 1].any()
             seen.append(symmetric)
             return am.Direct().setup(matrix, symmetric=symmetric)
 
     seen = []
-    am.solve(grids(name), am.ActiveSet(linear=Watching()))
+    for problem in (grids(name), replace(grids(name).finest.discrete, coordinates=None, near_nullspace=None)):
+        am.solve(problem, am.ActiveSet(linear=Watching()))
     assert all(seen) is ("friction " not in name)
 
 
