@@ -110,7 +110,7 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
     sides = [lower + np.arange(n + 1) / n * (upper - lower)
              for lower, upper, n in zip(domain.lower, domain.upper, counts, strict=True)]
     cells = _cells(counts, np.arange(counts[-1]))
-    elements = _simplices(cells, counts)
+    elements = _moved(_simplices(counts), cells)
     facets, labels = _boundary(domain.boundaries, counts)
     points = np.empty((math.prod(n + 1 for n in counts), dim))
     for k, side in enumerate(sides):
@@ -162,14 +162,15 @@ def _strides(counts: tuple[int, ...]) -> np.ndarray:
 
 
 def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Outward facets and their labels: side by side, along each in the order of the nodes."""
+    """Outward facets and their labels: side by side, along each in the order of the nodes. Those of one cell are moved
+    along the side."""
     dim, strides, facets = len(counts), _strides(counts), []
+    every = element_facets(_simplices(counts)).reshape(-1, dim)
     for name in names:
         axis, end = BOX_SIDES[name]
         axis = min(axis, dim - 1)
         cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
-        every = element_facets(_simplices(cells, counts)).reshape(-1, dim)
-        here = every[(every // strides[axis] % (counts[axis] + 1) == end * counts[axis]).all(axis=1)]
+        here = _moved(every[(every // strides[axis] % (counts[axis] + 1) == end).all(axis=1)], cells)
         facets.append(here[np.lexsort(np.sort(here, axis=1).T[::-1])])
     return np.concatenate(facets), np.repeat(np.arange(len(facets)), [len(here) for here in facets])
 
@@ -189,16 +190,19 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     return counts
 
 
-def _simplices(cells: np.ndarray, counts: tuple[int, ...]) -> np.ndarray:
-    """Two triangles or six tetrahedra a cell, given by its lowest node, positively oriented."""
+def _simplices(counts: tuple[int, ...]) -> np.ndarray:
+    """The two triangles or six tetrahedra of the cell whose lowest node is 0, positively oriented."""
     dim, strides, simplices = len(counts), _strides(counts), []
     for path in permutations(range(dim)):
         offsets = np.cumsum(np.r_[0, strides[list(path)]])
         odd = np.linalg.det(np.eye(dim)[list(path)]) < 0
         simplices.append(np.r_[offsets[:-2], offsets[:-3:-1]] if odd else offsets)
-    result = np.empty((len(simplices) * len(cells), dim + 1), dtype=np.int32)
-    np.add(cells[:, None, None], np.array(simplices, dtype=np.int32), out=result.reshape(-1, len(simplices), dim + 1))
-    return result
+    return np.array(simplices, dtype=np.int32)
+
+
+def _moved(simplices: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Those (n, k) of the cell whose lowest node is 0, in each of some cells."""
+    return (cells[:, None, None] + simplices).reshape(-1, simplices.shape[1])
 
 
 def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
