@@ -22,14 +22,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
 from adaptmg._numba import kernel
 from adaptmg.discrete.coordinates import frames_of, from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.smoother.blocks import ZERO, in_loop, increase, inner, read, times
+from adaptmg.smoother.blocks import ZERO, in_loop, increase, inner, read, scale, times
 from adaptmg.smoother.interior_point import Conditions, dense_factors, interior_point
 
 #: nodes of an aggregate and its depth in the graph, by dimension
@@ -136,14 +137,12 @@ class Aggregates:
             motions[:, a, k], motions[:, b, k] = -offset[:, b], offset[:, a]
         return motions
 
-    def basis(self, nodes: np.ndarray, kept: np.ndarray) -> sparse.bsr_array:
-        """Return the motions of the aggregates as columns, at some nodes projected by ``kept`` (n, dim, dim)."""
+    def projected(self, nodes: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Return the motions, at some nodes projected by ``kept`` (n, dim, dim)."""
         motions, row = self.motions.copy(), self.starts[nodes]
         inside = self.starts[nodes + 1] > row
         motions[row[inside]] = kept[inside] @ motions[row[inside]]
-        _, dim, modes = motions.shape
-        return sparse.bsr_array((motions, self.label, self.starts),
-                                shape=(dim * (len(self.starts) - 1), modes * self.count))
+        return motions
 
 
 aggregates_of = remembered_of_structure(Aggregates)
@@ -185,34 +184,51 @@ def _project(at, motions, own, other, zero, forces, band):
     forces[:] = 0.0
 
 
+@kernel
+def _restrict(starts, label, motions, place, zero, residual, sums):
+    """Add the work of a residual (n_dofs,) on the motions of the aggregates to ``sums`` (n_coarse,)."""
+    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
+    for i in range(len(starts) - 1):
+        for at in range(starts[i], starts[i + 1]):
+            r = read(residual, dim * np.uint64(i), zero)
+            for q in range(modes):
+                sums[modes * place[label[at]] + q] += inner(read(motions, dim * np.uint64(modes * at + q), zero), r)
+
+
+@kernel
+def _prolong(starts, label, motions, place, zero, values, result):
+    """Add the motions of the aggregates times ``values`` (n_coarse,) to ``result`` (n_dofs,)."""
+    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
+    for i in range(len(starts) - 1):
+        for at in range(starts[i], starts[i + 1]):
+            for q in range(modes):
+                motion = read(motions, dim * np.uint64(modes * at + q), zero)
+                increase(result, dim * np.uint64(i), scale(values[modes * place[label[at]] + q], motion))
+
+
 class CoarseCorrection:
     """B'(A + S)B of a contact status, factorised; S are blocks (n, dim, dim) at some nodes."""
 
-    def __init__(self, matrix: sparse.bsr_array, aggregates: Aggregates, basis: sparse.bsr_array, nodes: np.ndarray,
+    def __init__(self, matrix: sparse.bsr_array, aggregates: Aggregates, motions: np.ndarray, nodes: np.ndarray,
                  stiffening: np.ndarray) -> None:
-        self._basis, self._transposed, (_, dim, modes) = basis, basis.T, basis.data.shape
+        _, dim, modes = motions.shape
+        self._basis = (aggregates.starts, aggregates.label, motions.swapaxes(1, 2).reshape(-1), aggregates.place,
+                       ZERO[dim])
         band = np.zeros((modes * aggregates.count, modes * aggregates.width))
-        motions = basis.data.swapaxes(1, 2).reshape(-1)
-        arguments = basis.indptr, basis.indices, motions, aggregates.place, ZERO[dim], np.zeros(dim * modes), band
-        _fill(matrix.indptr, matrix.indices, matrix.data.reshape(-1), *arguments)
+        _fill(matrix.indptr, matrix.indices, matrix.data.reshape(-1), *self._basis, np.zeros(dim * modes), band)
         if stiffening.any():
-            more = at_nodes(nodes, stiffening, basis.shape[0])
-            _fill(more.indptr, more.indices, more.data.reshape(-1), *arguments)
+            more = at_nodes(nodes, stiffening, matrix.shape[0])
+            _fill(more.indptr, more.indices, more.data.reshape(-1), *self._basis, np.zeros(dim * modes), band)
         band[:, 0] += raised(band[:, 0])
-        self._order = (modes * aggregates.order[:, None] + np.arange(modes)).reshape(-1)
-        try:
-            self._factor = linalg.cholesky_banded(band.T, overwrite_ab=True, lower=True, check_finite=False)
-        except linalg.LinAlgError:
-            self._factor = None  # a motion that nothing holds: the sweeps alone precondition too
+        # where it fails, a motion that nothing holds: the sweeps alone precondition too
+        self._factor, self._failed = dpbtrf(band.T, lower=1, overwrite_ab=1) if len(band) else (band, 1)
 
-    def __call__(self, residual: np.ndarray) -> np.ndarray:
-        """Return the coarse correction (n_dofs,) of a residual."""
-        if self._factor is None:
-            return np.zeros_like(residual)
-        sums = (self._transposed @ residual)[self._order]
-        values = np.empty_like(sums)
-        values[self._order] = linalg.cho_solve_banded((self._factor, True), sums, check_finite=False)
-        return self._basis @ values
+    def add(self, residual: np.ndarray, result: np.ndarray) -> None:
+        """Add the coarse correction of a residual (n_dofs,) to ``result``."""
+        if not self._failed:
+            sums = np.zeros(self._factor.shape[1])
+            _restrict(*self._basis, residual, sums)
+            _prolong(*self._basis, dpbtrs(self._factor, sums, lower=1, overwrite_b=1)[0], result)
 
 
 def at_nodes(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_array:
@@ -249,7 +265,10 @@ class _Smoothed:
     def __init__(self, problem: DiscreteProblem) -> None:
         dim, free = problem.dim, ~problem.fixed
         matrix, nodes = sparse.csr_array(problem.matrix), np.arange(problem.n_nodes)
-        basis = aggregates_of(problem).basis(nodes, free.reshape(-1, dim)[:, :, None] * np.eye(dim))
+        aggregates = aggregates_of(problem)
+        motions = aggregates.projected(nodes, free.reshape(-1, dim)[:, :, None] * np.eye(dim))
+        basis = sparse.bsr_array((motions, aggregates.label, aggregates.starts),
+                                 shape=(len(free), motions.shape[2] * aggregates.count))
         inverse = np.where(free, 1 / matrix.diagonal(), 0.0)
         vector = np.where(free, np.sin(np.arange(len(free)) ** 2.0), 0.0)
         for _ in range(10):

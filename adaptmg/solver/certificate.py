@@ -380,7 +380,9 @@ class Evidence:
         change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
         slides, along = ~stays | beyond, normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
-        others = np.setdiff1d(np.flatnonzero(self.fixed.any(axis=1)), nodes)
+        supported = self.fixed.any(axis=1)
+        supported[nodes] = False
+        others = np.flatnonzero(supported)
         kept = slides[:, None, None] * tangents + ~closed[:, None, None] * along
         kept = np.concatenate([kept * free[:, :, None] * free[:, None], ~self.fixed[others][:, :, None] * np.eye(dim)])
         turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))

@@ -149,8 +149,8 @@ class _Preconditioner:
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
-        basis = aggregates.basis(held, kept)
-        self._coarse = CoarseCorrection(matrix, aggregates, basis, status.nodes, status.stiffening)
+        motions = aggregates.projected(held, kept)
+        self._coarse = CoarseCorrection(matrix, aggregates, motions, status.nodes, status.stiffening)
         blocks = diagonal_blocks(problem)[held]
         blocks[:len(status.nodes)] += status.stiffening
         # what is projected away has no stiffness
@@ -167,7 +167,7 @@ class _Preconditioner:
         result, image = np.empty_like(residual), np.zeros_like(residual)
         arguments = self._zero, *self._matrix, self._inverse, residual, result, image
         self._strips.sweep(_forward, *arguments)
-        result += self._coarse(image)
+        self._coarse.add(image, result)
         image[:] = 0.0
         self._strips.sweep(_backward, *arguments, backward=True)
         return result, image

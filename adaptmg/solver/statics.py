@@ -45,15 +45,16 @@ _LIMIT = 1e6  # Tresca limits beyond this multiple of the load count as this: ke
 @remembered
 def check_statics(problem: DiscreteProblem) -> None:
     """Raise ValueError if a rigid motion is left free by the supports and contact cannot hold it."""
-    for nodes, motions, several in _free_parts(problem):
+    for nodes, motions, several in _free_parts(problem) or ():
         _check_body(_Body(problem, nodes, motions, several))
 
 
 @remembered_of_structure
-def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, bool]]:
-    """Nodes and free motions of the connected parts that have any, and whether there are several parts."""
+def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, bool]] | None:
+    """Nodes and free motions of the connected parts that have any, and whether there are several parts; None where the
+    rigid motions are not known."""
     if problem.near_nullspace is None:
-        return []
+        return None
     graph = sparse.csr_array((np.ones(len(problem.matrix.indices), dtype=np.int8), problem.matrix.indices,
                               problem.matrix.indptr), shape=(problem.n_nodes, problem.n_nodes))
     n_bodies, body_of = connected_components(graph, directed=True, connection="weak")
@@ -69,7 +70,7 @@ def check_statics_of(grids: Hierarchy) -> None:
     coarse grid has the same rigid motions, loads and directions of contact and costs nothing; what it cannot hold the
     finest one may (on a curved surface, say)."""
     coarsest = grids[0].discrete_or_none
-    if len(grids) > 1 and coarsest is not None and coarsest.near_nullspace is not None:
+    if len(grids) > 1 and coarsest is not None and _free_parts(coarsest) is not None:
         try:
             check_statics(coarsest)
             return
