@@ -52,7 +52,7 @@ def test_history_is_reported_as_it_goes(bar):
     assert result.history["work_units"][-1] == result.work_units
     assert 0 < result.start_work_units < result.work_units
     assert {"setup", "start", "cycles"} <= set(result.timings)
-    assert 0 < result.history["seconds"][-1] <= sum(result.timings.values())
+    assert (np.diff(result.history["seconds"]) >= 0).all()
 
 
 def test_contact_without_names_has_a_resultant():
