@@ -245,7 +245,7 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Return the cells of :func:`~adaptmg.discrete.elasticity.apart`, and nodal values (n, n_values) of those
     (n_elements, n_values) of elements."""
     cells, points = apart(mesh)
-    corners, centroids = cells.shape[1], mesh.points[mesh.elements].mean(axis=1)
+    corners, centroids = cells.shape[1], mesh.points.take(mesh.elements, axis=0).mean(axis=1)
     of_nodes = elements_of_nodes(cells, len(points))
     around = sparse.csr_array((np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=of_nodes.shape[::-1])
     indptr, _ = pattern(of_nodes, corners * np.arange(len(cells) + 1), cells.reshape(-1))

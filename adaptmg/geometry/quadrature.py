@@ -49,7 +49,7 @@ def quadrature_rule(corners: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
 def quadrature_points(points: np.ndarray, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
     """Return positions (n_cells, n, dim) of the ``rule``'s barycentric points (n, corners) in ``cells`` (n_cells,
     corners)."""
-    return np.einsum("qk,ckd->cqd", rule, points[cells])
+    return np.einsum("qk,ckd->cqd", rule, points.take(cells, axis=0))
 
 
 def integration(points: np.ndarray, cells: np.ndarray, measures: np.ndarray, axisymmetric: bool

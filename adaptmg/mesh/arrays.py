@@ -210,7 +210,7 @@ class MeshArrays:
     @cached_property
     def element_sizes(self) -> np.ndarray:
         """Longest edge of each element (n_elements,), m."""
-        return longest_edges(self.points[self.elements])
+        return longest_edges(self.points.take(self.elements, axis=0))
 
     @cached_property
     def volumes(self) -> np.ndarray:
@@ -317,7 +317,7 @@ def _check_labels(mesh: MeshArrays) -> None:
 
 def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     """Return the signed areas or volumes (n,) of some simplices."""
-    first, *rest = (points[nodes].T for nodes in elements.T)
+    first, *rest = (points.take(nodes, axis=0).T for nodes in elements.T)
     edges = [corner - first for corner in rest]
     if len(edges) == 2:
         (a, b), (c, d) = edges
@@ -452,9 +452,9 @@ def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
     shared = counts > 1
     other = order[start[shared] + 1]
     second[shared] = other // (dim + 1)
-    first = facets[order[start]]
+    first = facets.take(order[start], axis=0)
     folded = np.zeros(len(start), dtype=bool)
-    folded[shared] = same_orientation(first[shared], facets[other])
+    folded[shared] = same_orientation(first[shared], facets.take(other, axis=0))
     return FacetTable(keys[start], counts, order[start] // (dim + 1), second, first, folded)
 
 

@@ -128,7 +128,7 @@ class Aggregates:
         of the mean square)."""
         dim, members = points.shape[1], np.bincount(self.label, minlength=self.count)
         centres = np.stack([np.bincount(self.label, x, self.count) / members for x in points[inside].T], axis=1)
-        offset = points[inside] - centres[self.label]
+        offset = points[inside] - centres.take(self.label, axis=0)
         extent = np.sqrt(np.bincount(self.label, np.einsum("nd,nd->n", offset, offset), self.count) / members)
         offset /= np.where(extent > 0, extent, 1.0)[self.label, None]
         motions = np.zeros((len(offset), dim, 3 * dim - 3))
