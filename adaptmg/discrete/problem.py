@@ -320,3 +320,15 @@ def _own_modes(problem: DiscreteProblem) -> np.ndarray:
 
 
 DiscreteProblem.near_nullspace = made_on_demand("near_nullspace", "Rigid-body modes (n_dofs, k), or None.")
+
+
+def diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
+    """Return the diagonal blocks (n_nodes, dim, dim) of a matrix, which has them all."""
+    numbers = np.arange(len(matrix.indices), dtype=np.int32)
+    return matrix.data[sparse.csr_array((numbers, matrix.indices, matrix.indptr)).diagonal()]
+
+
+@remembered_of_structure
+def nodal_blocks(problem: DiscreteProblem) -> np.ndarray:
+    """Return the diagonal blocks (n_nodes, dim, dim) of the matrix."""
+    return diagonal_blocks(problem.matrix)

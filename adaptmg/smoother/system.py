@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.discrete.coordinates import frames_of, rotate, rotate_back, to_frames
-from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.discrete.problem import DiscreteProblem, diagonal_blocks, nodal_blocks, remembered_of_structure
 from adaptmg.transfer.galerkin import without_fixed
 
 
@@ -67,7 +67,7 @@ class LocalSystem:
         if not matrix.has_sorted_indices:
             matrix = matrix.sorted_indices()
         indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
-        diagonal = _diagonal_blocks(matrix)
+        diagonal = diagonal_blocks(matrix)
         contact_of = np.full(n_nodes, -1, dtype=np.int32)
         contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
         return cls(dim=dim, indptr=indptr, indices=indices, data=np.ascontiguousarray(matrix.data).reshape(-1),
@@ -92,14 +92,6 @@ class LocalSystem:
         """Return the matrix, sharing memory."""
         blocks = self.data.reshape(-1, self.dim, self.dim)
         return sparse.bsr_array((blocks, self.indices, self.indptr), shape=(self.n_dofs, self.n_dofs), copy=False)
-
-
-def _diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
-    n, dim = len(matrix.indptr) - 1, matrix.blocksize[0]
-    rows, result = np.repeat(np.arange(n), np.diff(matrix.indptr)), np.zeros((n, dim, dim))
-    at = np.flatnonzero(rows == matrix.indices)
-    result[rows[at]] = matrix.data[at]
-    return result
 
 
 def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
@@ -170,7 +162,7 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     """Return the diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as
     :func:`local_system` has them, without rotating the matrix."""
     nodes, (contact, frames) = problem.contact.nodes, local_contact(problem)
-    blocks = np.einsum("nij,njk,nlk->nil", frames, _diagonal_blocks(problem.matrix)[nodes], frames)
+    blocks = np.einsum("nij,njk,nlk->nil", frames, nodal_blocks(problem)[nodes], frames)
     free = np.ones((len(nodes), problem.dim))
     free[:, 1:] = ~held_tangents(problem)
     mask = free[:, :, None] * free[:, None, :] + np.einsum("ni,ij->nij", 1 - free, np.eye(problem.dim))

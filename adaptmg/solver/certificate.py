@@ -23,9 +23,9 @@ import numpy as np
 from adaptmg._text import in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem, nodal_blocks
 from adaptmg.solver.aggregates import Aggregates, AtNodes, aggregates_of, changed_status
-from adaptmg.solver.energy_error import FrozenStatus, correction, diagonal_blocks
+from adaptmg.solver.energy_error import FrozenStatus, correction
 
 
 @dataclass(frozen=True, repr=False)
@@ -176,7 +176,7 @@ class Evidence:
         energy = _sum(self.unknowns, load - residual)
         energy += 0.0 if problem.volumes is None else problem.volumes.energy(pressures)
         self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0))))
-        diagonal = np.einsum("nii->ni", diagonal_blocks(problem))
+        diagonal = np.einsum("nii->ni", nodal_blocks(problem))
         self.fixed = problem.fixed.reshape(shape)
         self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
         self.normals = problem.contact.normals

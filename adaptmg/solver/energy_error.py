@@ -37,7 +37,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from adaptmg._numba import kernel
-from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.discrete.problem import DiscreteProblem, nodal_blocks, remembered_of_structure
 from adaptmg.smoother.blocks import ONE, ZERO, add, increase, read, subtract, times, transposed_times, write
 from adaptmg.smoother.strips import Strips
 from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, at_nodes
@@ -75,17 +75,9 @@ class FrozenStatus:
 
 
 @remembered_of_structure
-def diagonal_blocks(problem: DiscreteProblem) -> np.ndarray:
-    """Return the diagonal blocks (n_nodes, dim, dim) of the matrix."""
-    matrix = problem.matrix
-    numbers = np.arange(len(matrix.indices), dtype=np.int32)
-    return matrix.data[sparse.csr_array((numbers, matrix.indices, matrix.indptr)).diagonal()]
-
-
-@remembered_of_structure
 def _inverses(problem: DiscreteProblem) -> np.ndarray:
     """The inverses of the diagonal blocks by cofactors."""
-    blocks = diagonal_blocks(problem)
+    blocks = nodal_blocks(problem)
     if blocks.shape[1] == 2:
         adjugates = np.empty_like(blocks)
         adjugates[:, 0, 0], adjugates[:, 1, 1] = blocks[:, 1, 1], blocks[:, 0, 0]
@@ -151,7 +143,7 @@ class _Preconditioner:
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
         motions = aggregates.projected(held, kept)
         self._coarse = CoarseCorrection(matrix, aggregates, motions, status.nodes, status.stiffening)
-        blocks = diagonal_blocks(problem)[held]
+        blocks = nodal_blocks(problem)[held]
         blocks[:len(status.nodes)] += status.stiffening
         # what is projected away has no stiffness
         stiffness, axes = np.linalg.eigh(kept @ blocks @ kept)

@@ -56,7 +56,7 @@ from adaptmg.discrete.contact_nodes import ContactNodes, largest_entry
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.transfer.interpolation import Transfer, csr_from_weights, nodes_of_bodies
+from adaptmg.transfer.interpolation import CLIP, Transfer, csr_from_weights, nodes_of_bodies
 
 
 def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_facets: np.ndarray,
@@ -106,7 +106,8 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
     if contact_rows:
         master_rows = [_along(coarse, fine, name, fine.boundary_nodes(name)) for name in contact.masters if name]
         for nodes, rows in (*master_rows, *slave_rows):
-            nodal = with_contact_rows(nodal, nodes, rows)
+            if (abs(nodal[nodes] - rows) > CLIP).nnz:  # not on nested meshes
+                nodal = with_contact_rows(nodal, nodes, rows)
     relative = nodal if coupling is None else coupling.prolongation(nodal, coarse_problem.coupling)
     surface, above = relative, coarse_problem.contact
     # others are held: no coarse bound limits what they would pass to fine contact nodes

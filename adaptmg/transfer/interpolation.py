@@ -172,7 +172,7 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
             at = at + steps[k] if k < fine.dim else at
         node, column = end, last
     kept = weights >= CLIP
-    indptr = np.append(0, np.cumsum(np.count_nonzero(kept, axis=1))).astype(np.int32)
+    indptr = np.append(0, np.cumsum(kept)[kept.shape[1] - 1::kept.shape[1]]).astype(np.int32)
     return sparse.csr_array((weights[kept], columns[kept], indptr), shape=(fine.n_nodes, coarse.n_nodes))
 
 
@@ -190,7 +190,7 @@ def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -
     weights = weights / weights.sum(axis=1, keepdims=True)
     columns, weights = (np.take_along_axis(part, order, axis=1) for part in (columns, weights))
     kept = weights > 0
-    indptr = np.append(0, np.cumsum(np.count_nonzero(kept, axis=1))).astype(np.int32)
+    indptr = np.append(0, np.cumsum(kept)[kept.shape[1] - 1::kept.shape[1]]).astype(np.int32)
     return sparse.csr_array((weights[kept], columns[kept].astype(np.int32), indptr), shape=(len(kept), n_columns))
 
 
