@@ -72,8 +72,9 @@ def _inside(elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.nd
     found = np.zeros(len(edges), dtype=bool)
     found[row[0, along]] = True
     across = np.where(along | against, -1, across)
-    e, k = np.nonzero(across >= 0)
-    graph = sparse.coo_array((np.ones(len(e), dtype=bool), (e, across[e, k])), shape=(len(elements),) * 2)
+    joined = across >= 0
+    starts = np.append(0, np.cumsum(joined.sum(axis=1)))
+    graph = sparse.csr_array((np.ones(starts[-1]), across[joined], starts), shape=(len(elements),) * 2)
     n_parts, part = connected_components(graph, directed=False)
     inside = np.zeros(n_parts, dtype=bool)
     inside[part[along.any(axis=1)]] = True
