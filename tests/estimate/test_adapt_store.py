@@ -1,13 +1,9 @@
-"""The store of an adaptive loop: what was killed goes on and ends with the same numbers, other folders are refused."""
+"""The store of an adaptive loop: one broken off ends with the same numbers, other folders are refused."""
 
 import errno
 import itertools
 import json
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +13,6 @@ from adaptive_loop import numbers_of, upset
 import adaptmg as am
 
 COARSE, NODES, UPSET = 8e-3, 300, upset()
-#: a loop in another process
-CHILD = """
-import sys
-import adaptmg as am
-problem, folder = am.cases.upset_block(law=am.Coulomb(0.5)), sys.argv[1]
-for step in am.adapt(problem, 8e-3, engine=am.Bisect(), max_nodes=300, store=folder):
-    print(step.number, flush=True)
-"""
 
 
 def loop(store: Path | None, **options: object):
@@ -94,16 +82,6 @@ def test_a_finished_loop_is_read_not_made_again(kept, whole, monkeypatch):
     assert numbers_of(found) == numbers_of(whole) and found[-1].outcome
     assert found[0].estimate.terms
     assert found[1].hierarchy[0] is found[0].hierarchy[0]
-
-
-def test_a_killed_loop_goes_on_with_the_same_numbers(tmp_path, whole):
-    child = subprocess.Popen([sys.executable, "-c", CHILD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
-    assert child.stdout.readline() == "0\n"
-    time.sleep(0.02)
-    child.kill()
-    child.communicate()
-    assert child.returncode == -signal.SIGKILL
-    assert numbers_of(list(loop(tmp_path))) == numbers_of(whole)
 
 
 def test_limits_may_change(copied, whole):
