@@ -71,13 +71,12 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
     return count
 
 
-def _joined(matrix: sparse.bsr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _joined(graph: sparse.csr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """The labels after small remnants have joined the smallest neighbour of their group."""
     inside = label >= 0
     members, of = np.bincount(label[inside]), np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
     of[label[inside]] = group[inside]
     remnant = _REMNANT * members < sizes[of]
-    graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=np.int8), matrix.indices, matrix.indptr))
     nodes = np.flatnonzero(inside & remnant[label])
     edges = graph[nodes].tocoo()
     own, other = label[nodes[edges.row]], label[edges.col]
@@ -109,17 +108,16 @@ class Aggregates:
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
         label = np.full(n, -1, dtype=np.int32)
         _grow(matrix.indptr, matrix.indices, group, sizes, depth, label, *np.empty((2, n), dtype=np.int32))
-        label = _joined(matrix, label, group, sizes)
+        graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr))
+        label = _joined(graph, label, group, sizes)
         inside = label >= 0
         self.label, self.count = label[inside].astype(np.int32), int(label.max(initial=-1)) + 1
         self.starts = np.append(0, np.cumsum(inside)).astype(np.int32)  # of the rows of the basis
         self.motions = self._rigid(np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside)
         # a narrow band: the place of each aggregate, and how far it reaches
         pairs = sparse.csr_array((np.ones(len(self.label), dtype=bool), self.label, self.starts), shape=(n, self.count))
-        graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr))
         coarse = sparse.csr_array(pairs.T @ (graph @ pairs))
-        self.order = reverse_cuthill_mckee(coarse, symmetric_mode=True)
-        self.place = np.argsort(self.order).astype(np.int32)
+        self.place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
         rows = np.repeat(self.place, np.diff(coarse.indptr))
         self.width = int(np.max(rows - self.place[coarse.indices], initial=0)) + 1
 
@@ -185,25 +183,18 @@ def _project(at, motions, own, other, zero, forces, band):
 
 
 @kernel
-def _restrict(starts, label, motions, place, zero, residual, sums):
-    """Add the work of a residual (n_dofs,) on the motions of the aggregates to ``sums`` (n_coarse,)."""
-    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
-    for i in range(len(starts) - 1):
-        for at in range(starts[i], starts[i + 1]):
-            r = read(residual, dim * np.uint64(i), zero)
-            for q in range(modes):
-                sums[modes * place[label[at]] + q] += inner(read(motions, dim * np.uint64(modes * at + q), zero), r)
-
-
-@kernel
-def _prolong(starts, label, motions, place, zero, values, result):
-    """Add the motions of the aggregates times ``values`` (n_coarse,) to ``result`` (n_dofs,)."""
+def _transfer(down, starts, label, motions, place, zero, vector, values):
+    """Add the work of a vector (n_dofs,) on the motions of the aggregates to ``values`` (n_coarse,), or up the motions
+    times ``values`` to the vector."""
     dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
     for i in range(len(starts) - 1):
         for at in range(starts[i], starts[i + 1]):
             for q in range(modes):
-                motion = read(motions, dim * np.uint64(modes * at + q), zero)
-                increase(result, dim * np.uint64(i), scale(values[modes * place[label[at]] + q], motion))
+                own, motion = modes * place[label[at]] + q, read(motions, dim * np.uint64(modes * at + q), zero)
+                if down:
+                    values[own] += inner(motion, read(vector, dim * np.uint64(i), zero))
+                else:
+                    increase(vector, dim * np.uint64(i), scale(values[own], motion))
 
 
 class CoarseCorrection:
@@ -227,8 +218,8 @@ class CoarseCorrection:
         """Add the coarse correction of a residual (n_dofs,) to ``result``."""
         if not self._failed:
             sums = np.zeros(self._factor.shape[1])
-            _restrict(*self._basis, residual, sums)
-            _prolong(*self._basis, dpbtrs(self._factor, sums, lower=1, overwrite_b=1)[0], result)
+            _transfer(True, *self._basis, residual, sums)
+            _transfer(False, *self._basis, result, dpbtrs(self._factor, sums, lower=1, overwrite_b=1)[0])
 
 
 def at_nodes(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_array:

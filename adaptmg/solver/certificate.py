@@ -380,9 +380,7 @@ class Evidence:
         change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
         slides, along = ~stays | beyond, normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
-        supported = self.fixed.any(axis=1)
-        supported[nodes] = False
-        others = np.flatnonzero(supported)
+        others = np.setdiff1d(np.flatnonzero(self.fixed.any(axis=1)), nodes, assume_unique=True)
         kept = slides[:, None, None] * tangents + ~closed[:, None, None] * along
         kept = np.concatenate([kept * free[:, :, None] * free[:, None], ~self.fixed[others][:, :, None] * np.eye(dim)])
         turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))

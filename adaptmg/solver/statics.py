@@ -51,8 +51,7 @@ def check_statics(problem: DiscreteProblem) -> None:
 
 @remembered_of_structure
 def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, bool]] | None:
-    """Nodes and free motions of the connected parts that have any, and whether there are several parts; None where the
-    rigid motions are not known."""
+    """Nodes and free motions of the connected parts that have any, whether there are several parts; None if unknown."""
     if problem.near_nullspace is None:
         return None
     graph = sparse.csr_array((np.ones(len(problem.matrix.indices), dtype=np.int8), problem.matrix.indices,
