@@ -16,20 +16,17 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import pandas as pd
 
 
-def main(measure: Callable[[int], dict], summary: Callable[[pd.DataFrame], pd.DataFrame], seeds: range,
-         quick: int) -> None:
+def main(measure: Callable[[int], dict], summary: Callable[[pd.DataFrame], pd.DataFrame], seeds: range) -> None:
     """Measure all seeds and print the summary; exit code 1 if a row has faults."""
     name = Path(sys.argv[0]).stem
     parser = argparse.ArgumentParser(description=(sys.modules["__main__"].__doc__ or "").split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help=f"{quick} seeds, not {len(seeds)}")
     parser.add_argument("--first", type=int, default=seeds.start, metavar="SEED", help="default: %(default)s")
-    parser.add_argument("--count", type=int, metavar="N", help="number of seeds")
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)), metavar="N")
+    parser.add_argument("--count", type=int, default=len(seeds), metavar="N", help="default: %(default)s")
     parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR", help="default: results")
     asked = parser.parse_args()
-    chosen = range(asked.first, asked.first + (asked.count or (quick if asked.quick else len(seeds))))
+    chosen = range(asked.first, asked.first + asked.count)
     rows = []
-    with ProcessPoolExecutor(asked.workers, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
         for seed, row in zip(chosen, pool.map(measure, chosen), strict=True):
             rows.append({"seed": seed} | row)
             print(f"seed {seed}: {row.get('faults') or row.get('why') or 'sound'}", file=sys.stderr, flush=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -29,8 +28,8 @@ class Wave:
         return self.amplitude * (1 + height)
 
 
-def random_grids(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
-    """A random problem on random meshes, and what it is."""
+def random_grids(seed: int) -> am.Hierarchy:
+    """A random problem on random meshes."""
     rng = np.random.default_rng(seed)
     dim = 3 if rng.random() < 0.35 else 2
     friction = float(rng.choice([0.1, 0.3, 0.7, 1.0, 1.5, 2.0]))
@@ -49,25 +48,20 @@ def random_grids(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
         shear = am.Traction("top", (*(float(t) for t in rng.uniform(-5e7, 5e7, dim - 1)), 0.0))
         problem = replace(problem, loads=(*problem.loads, shear), reference={})
     nested = bool(rng.random() < 2 / 3)
-    floating = bool(rng.random() < 0.15)
-    if floating:
+    if rng.random() < 0.15:
         # held by contact alone: the side pressure acts on both sides, up to a part that friction can take
         balance = am.Pressure("right", loads["side_pressure"] - float(rng.uniform(0, 0.05)) * loads["top_pressure"])
         problem = replace(problem, supports=(), loads=(*problem.loads, balance), reference={})
     if nested:
         chains = ([(4, 8, 16, 32), (4, 8, 16, 32, 64), (3, 6, 12, 24, 48)] if dim == 2
                   else [(2, 4, 8), (2, 4, 8, 16), (3, 6, 12)])
-        hierarchy = am.Hierarchy.uniform(problem, chains[rng.integers(3)])
-    else:
-        sizes = (16e-3, 8e-3, 4e-3, 2e-3) if dim == 2 else (20e-3, 10e-3, 5e-3)
-        hierarchy = am.Hierarchy.graded(problem, sizes, float(rng.choice([1, 2, 4])))
-    what = {"dim": dim, "nested": nested, "floating": floating, "law": type(law).__name__, "friction": friction,
-            "amplitude": amplitude, "nodes": hierarchy.finest.n_nodes, **loads}
-    return what, hierarchy
+        return am.Hierarchy.uniform(problem, chains[rng.integers(3)])
+    sizes = (16e-3, 8e-3, 4e-3, 2e-3) if dim == 2 else (20e-3, 10e-3, 5e-3)
+    return am.Hierarchy.graded(problem, sizes, float(rng.choice([1, 2, 4])))
 
 
-def random_pair(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
-    """A random problem of two bodies on random meshes, and what it is."""
+def random_pair(seed: int) -> am.Hierarchy:
+    """A random problem of two bodies on random meshes."""
     rng = np.random.default_rng(seed)
     width = SIDE * float(rng.uniform(1.1, 2))
     height = SIDE * float(rng.uniform(0.4, 1.2))
@@ -94,35 +88,28 @@ def random_pair(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
         # cells of the lower body about square, larger or smaller than those of the upper one
         n = int(rng.integers(3, 6))
         across, up = (max(1, round(n * length / SIDE * ratio)) for length in (width, height))
-        hierarchy = am.Hierarchy.from_meshes(problem, [am.mesh.merged({
+        return am.Hierarchy.from_meshes(problem, [am.mesh.merged({
             "upper": am.mesh.structured(parts["upper"], n * k),
             "lower": am.mesh.structured(parts["lower"], (across * k, up * k))}) for k in (1, 2, 4, 8)])
-    else:
-        graded = float(rng.uniform(1, 4))
-        sizes = [{"upper": h, "lower": h * ratio} for h in (9e-3, 5.4e-3, 3.2e-3, 1.9e-3)]
-        hierarchy = am.Hierarchy.graded(problem, sizes, graded)
-    other = "lower" if slave == "upper" else "upper"
-    what = {"dim": 2, "nested": nested, "floating": False, "law": type(law).__name__, "friction": friction,
-            "slave": slave, "stiffness": young[slave] / young[other], "nodes": hierarchy.finest.n_nodes}
-    return what, hierarchy
+    sizes = [{"upper": h, "lower": h * ratio} for h in (9e-3, 5.4e-3, 3.2e-3, 1.9e-3)]
+    return am.Hierarchy.graded(problem, sizes, float(rng.uniform(1, 4)))
 
 
-def random_problem(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+def random_problem(seed: int) -> am.Hierarchy:
     """A random problem on random meshes."""
     rng = np.random.default_rng((seed, 7))
     kind = ["one body", "one body", "pair", "pair", "pair in 3D"][rng.integers(5)]
-    what, grids = (random_grids(seed) if kind == "one body" else random_pair(seed) if kind == "pair" else
-                   _pair_in_3d(rng))
-    return what | {"kind": kind, "levels": len(grids)}, grids
+    if kind == "pair in 3D":
+        return _pair_in_3d(rng)
+    return random_grids(seed) if kind == "one body" else random_pair(seed)
 
 
-def random_rubber(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+def random_rubber(seed: int) -> am.Hierarchy:
     """A random problem with smoothed elements and Poisson's ratios from .4 to .5, of some pairs of one body alone."""
     rng = np.random.default_rng((seed, 33))
-    what, grids = random_problem(seed)
-    if what["dim"] == 3 and grids.finest.n_nodes > 1500:  # factors of the exact solution
+    grids = random_problem(seed)
+    if grids.problem.dim == 3 and grids.finest.n_nodes > 1500:  # factors of the exact solution
         grids = grids.truncated(finest=len(grids) - 2)
-        what["nodes"] = grids.finest.n_nodes
 
     def soft(material: am.PlaneStrain) -> am.PlaneStrain:
         ratios = rng.uniform(0.4, 0.5), 0.5 - 10 ** rng.uniform(-6, -1.2), 0.4999, 0.5
@@ -131,14 +118,12 @@ def random_rubber(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
     own = grids.problem.material
     if isinstance(own, dict):
         own = {name: soft(one) if rng.random() < 0.75 else one for name, one in own.items()}
-        what["poisson"] = [one.poisson for one in own.values()]
     else:
         own = soft(own)
-        what["poisson"] = own.poisson
-    return what, grids.with_problem(replace(grids.problem, material=own, elements="smoothed", reference={}))
+    return grids.with_problem(replace(grids.problem, material=own, elements="smoothed", reference={}))
 
 
-def _pair_in_3d(rng: np.random.Generator) -> tuple[dict[str, Any], am.Hierarchy]:
+def _pair_in_3d(rng: np.random.Generator) -> am.Hierarchy:
     """A block on a wider one, meshes that do not match."""
     width = SIDE * float(rng.uniform(1.2, 1.8))
     parts = {"upper": am.Box(width=SIDE, depth=SIDE, height=0.6 * SIDE),
@@ -159,14 +144,11 @@ def _pair_in_3d(rng: np.random.Generator) -> tuple[dict[str, Any], am.Hierarchy]
                   am.Support("lower.bottom", x=0.0, y=0.0, z=0.0)))
     cells = int(rng.integers(2, 4))
     other = max(1, cells + int(rng.integers(-1, 2)))
-    grids = am.Hierarchy.uniform(problem, [{"upper": (cells * k, cells * k, cells * k),
-                                            "lower": (other * k, other * k, other * k)} for k in (1, 2)])
-    opposite = "lower" if slave == "upper" else "upper"
-    return {"dim": 3, "nested": True, "floating": False, "law": type(problem.law).__name__, "friction": friction,
-            "slave": slave, "stiffness": young[slave] / young[opposite], "nodes": grids.finest.n_nodes}, grids
+    return am.Hierarchy.uniform(problem, [{"upper": (cells * k, cells * k, cells * k),
+                                           "lower": (other * k, other * k, other * k)} for k in (1, 2)])
 
 
-def random_floating(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+def random_floating(seed: int) -> am.Hierarchy:
     """A random body that nothing but contact holds, heated or not: rings and blocks on a plane, blocks on blocks."""
     rng = np.random.default_rng((seed, 18))
     kind, dim = str(rng.choice(["ring", "block", "pair", "block in 3D"])), 2
@@ -202,8 +184,5 @@ def random_floating(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
                                 loads=tuple(loads), supports=supports)
     n = int(rng.integers(2, 5))
     if kind == "pair" or (dim == 2 and rng.random() < 0.5):
-        grids = am.Hierarchy.graded(problem, tuple(side * h for h in (0.3, 0.16, 0.08, 0.05)), float(rng.uniform(1, 3)))
-    else:
-        grids = am.Hierarchy.uniform(problem, [n * 2**k for k in range(4 if dim == 2 else 2)])
-    return {"dim": dim, "kind": kind, "space": "floating", "law": type(law).__name__,
-            "nodes": grids.finest.n_nodes}, grids
+        return am.Hierarchy.graded(problem, [side * h for h in (0.3, 0.16, 0.08, 0.05)], float(rng.uniform(1, 3)))
+    return am.Hierarchy.uniform(problem, [n * 2**k for k in range(4 if dim == 2 else 2)])

@@ -14,8 +14,6 @@ import numpy as np
 import adaptmg as am
 from adaptmg.mesh.arrays import facet_table
 
-__all__ = ["cut_out", "random_gaps", "random_slender", "spring"]
-
 KINDS = ("spring", "comb", "ring", "frame", "beam")
 PLANE, SOLID = {"young": 2.1e11, "poisson": 0.3}, am.Solid(young=2.1e11, poisson=0.3)
 
@@ -86,7 +84,7 @@ def _law(rng: np.random.Generator) -> Any:
             am.Tresca(float(10 ** rng.uniform(2, 5)))][rng.integers(4)]
 
 
-def random_slender(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+def random_slender(seed: int) -> am.Hierarchy:
     """A random slender body on a plane, its top pressed down and moved aside; or on an elastic block."""
     rng = np.random.default_rng((seed, 16))
     kind, space = str(rng.choice(KINDS)), str(rng.choice(["plane", "plane", "axisymmetric", "3D", "pair"]))
@@ -113,11 +111,10 @@ def random_slender(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
             name=f"{kind} on a block", law=law, contact=am.ContactPair("upper.bottom", "lower.top"),
             material={"upper": material, "lower": material},
             supports=(am.Support("upper.top", **moved), am.Support("lower.bottom", x=0.0, y=0.0)))
-    grids = am.Hierarchy.from_meshes(problem, meshes)
-    return {"dim": dim, "kind": kind, "space": space, "law": type(law).__name__, "nodes": grids.finest.n_nodes}, grids
+    return am.Hierarchy.from_meshes(problem, meshes)
 
 
-def random_gaps(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
+def random_gaps(seed: int) -> am.Hierarchy:
     """A random plane body, most of its foot a thousand to a hundred thousand displacements above the obstacle."""
     rng = np.random.default_rng((seed, 17))
     law, side, n = _law(rng), 40e-3, int(rng.integers(2, 6))
@@ -130,5 +127,4 @@ def random_gaps(seed: int) -> tuple[dict[str, Any], am.Hierarchy]:
     problem = am.ContactProblem(
         name="step", domain=am.Rectangle(width=side, height=side), material=am.PlaneStrain(**PLANE), law=law,
         contact=am.Contact("bottom", am.GapFunction(gap)), loads=tuple(loads), supports=(am.Support("right", x=0.0),))
-    grids = am.Hierarchy.uniform(problem, [n * 2**k for k in range(4)])
-    return {"dim": 2, "kind": "gaps", "space": "plane", "law": type(law).__name__, "nodes": grids.finest.n_nodes}, grids
+    return am.Hierarchy.uniform(problem, [n * 2**k for k in range(4)])

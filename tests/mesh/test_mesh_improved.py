@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bisected_meshes import containing_elements
 from bisected_meshes import shaken as moved
 
 import adaptmg as am
@@ -75,14 +74,6 @@ def test_octahedra_are_cut_along_the_shortest_diagonal(order):
 
 RECTANGLE = am.Rectangle(width=0.3, height=0.7, origin=(-0.1, 0.2))
 SOLID = am.Box(width=0.3, depth=0.2, height=0.7, origin=(1, 2, 3))
-
-
-@pytest.mark.parametrize("domain", [RECTANGLE, SOLID])
-def test_doubling_is_nested(domain):
-    coarse, fine = structured(domain, 3), structured(domain, 6)
-    # every coarse node is a fine node, to the last bit
-    assert set(map(tuple, coarse.points)) <= set(map(tuple, fine.points))
-    assert containing_elements(coarse, fine).min() >= 0
 
 
 @pytest.mark.parametrize(("domain", "divisions"), [(RECTANGLE, (5, 3)), (RECTANGLE, 1), (SOLID, (3, 1, 4)),

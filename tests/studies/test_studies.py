@@ -112,6 +112,6 @@ def test_the_campaign_of_loops_sees_spoilt_meshes():
     inside = mesh.points.copy()
     inside[0] = [0.1, 0.1]
     for words, change in (("sizes", {"points": inside}), ("names of", {"boundaries": ("a", *mesh.boundaries[1:])}),
-                          ("facets", {"elements": mesh.elements[1:], "element_body": None})):
+                          ("no edge of", {"elements": mesh.elements[1:], "element_body": None})):
         faults = loops.mesh_faults(dataclasses.replace(mesh, source=None, **change), mesh, False)
         assert any(words in fault for fault in faults), words
