@@ -97,6 +97,8 @@ def tie_interfaces(ties: Sequence[Tied | Periodic], mesh: MeshArrays, held: Held
                    ) -> list[MortarInterface]:
     """Return the tied slave nodes of each tie. Nodes on several belong to the tie named first; what supports hold in
     all directions is not tied."""
+    if not ties:
+        return []
     taken = held.fixed.all(axis=1)
     if held.inclined is not None:  # a support that moves such a node prescribes it
         taken[held.inclined.nodes[held.inclined.moving]] = True

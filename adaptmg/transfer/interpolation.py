@@ -171,9 +171,14 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
             weights[node:end, k], columns[node:end, k] = (ends[k] - ends[k + 1]).reshape(-1), at.reshape(-1)
             at = at + steps[k] if k < fine.dim else at
         node, column = end, last
-    kept = weights >= CLIP
+    return _rows(columns, weights, weights >= CLIP, coarse.n_nodes)
+
+
+def _rows(columns: np.ndarray, weights: np.ndarray, kept: np.ndarray, n_columns: int) -> sparse.csr_array:
+    """Sparse rows of those of a fixed number of weights each that are kept."""
+    entries = np.flatnonzero(kept)
     indptr = np.append(0, np.cumsum(kept)[kept.shape[1] - 1::kept.shape[1]]).astype(np.int32)
-    return sparse.csr_array((weights[kept], columns[kept], indptr), shape=(fine.n_nodes, coarse.n_nodes))
+    return sparse.csr_array((weights.take(entries), columns.take(entries), indptr), shape=(len(kept), n_columns))
 
 
 CLIP = 1e-10
@@ -189,9 +194,7 @@ def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -
     weights = np.where(weights < CLIP, 0.0, weights)
     weights = weights / weights.sum(axis=1, keepdims=True)
     columns, weights = (np.take_along_axis(part, order, axis=1) for part in (columns, weights))
-    kept = weights > 0
-    indptr = np.append(0, np.cumsum(kept)[kept.shape[1] - 1::kept.shape[1]]).astype(np.int32)
-    return sparse.csr_array((weights[kept], columns[kept].astype(np.int32), indptr), shape=(len(kept), n_columns))
+    return _rows(columns.astype(np.int32), weights, weights > 0, n_columns)
 
 
 def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
