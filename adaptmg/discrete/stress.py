@@ -245,7 +245,8 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Return the cells of :func:`~adaptmg.discrete.elasticity.apart`, and nodal values (n, n_values) of those
     (n_elements, n_values) of elements."""
     cells, points = apart(mesh)
-    corners, centroids = cells.shape[1], mesh.points.take(mesh.elements, axis=0).mean(axis=1)
+    corners = cells.shape[1]
+    centroids = sum(mesh.points.take(nodes, axis=0) for nodes in mesh.elements.T) / corners
     of_nodes = elements_of_nodes(cells, len(points))
     around = sparse.csr_array((np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=of_nodes.shape[::-1])
     indptr, _ = pattern(of_nodes, corners * np.arange(len(cells) + 1), cells.reshape(-1))
@@ -274,7 +275,8 @@ def _fits(patches: sparse.csr_array, places: np.ndarray, centroids: np.ndarray, 
     first, rows = patches.indptr[:-1], np.repeat(np.arange(len(places)), np.diff(patches.indptr))
     away = centroids.take(patches.indices, axis=0) - places.take(rows, axis=0)
     size = np.maximum.reduceat(np.abs(away), first).max(axis=1)
-    terms = np.column_stack([np.ones(len(rows)), away / size[rows, None]])
+    terms = np.ones((len(rows), away.shape[1] + 1))
+    np.divide(away, size[rows, None], out=terms[:, 1:])
     (n, k), samples = (len(places), terms.shape[1]), values.take(patches.indices, axis=0)
     # numbers of all nodes side by side
     matrix, sides, good = np.empty((k, k, n)), np.empty((k, values.shape[1], n)), np.ones(n, dtype=bool)

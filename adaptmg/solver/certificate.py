@@ -202,6 +202,7 @@ class Evidence:
         terms = np.abs(diagonal * self.u)
         self.rounding = 8 * _EPSILON * _norm(terms)
         self.energy_rounding = 32 * _EPSILON * float(np.sqrt(_sum(terms, np.abs(self.u))))
+
     @property
     def idle(self) -> bool:
         """Return whether all forces are rounding: bodies that their supports move and nothing strains."""
