@@ -198,7 +198,8 @@ def test_settings_reach_the_adaptive_loop(adapt, wanted):
     assert made.get("engine") == (am.Bisect() if "engine" in adapt else None)
 
 
-def test_friction_and_elements_of_a_case_that_takes_no_law(command):
+def test_laws_and_elements_of_cases(command):
+    assert build.problem_of({"case": "greco_bar", "law": "tresca", "limit": 1e7}).law.limit == 1e7
     assert build.problem_of({"case": "bolted_junction", "elements": "smoothed"}).elements == "smoothed"
     made = build.problem_of({"case": "bolted_junction", "friction": 0.35})
     points = np.array([[0.1, 0.0], [0.1, 0.05], [0.2, 0.03]])
