@@ -257,14 +257,20 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     inner, fits = inner[good], fits[good]
     nodal, left = np.zeros((len(points), values.shape[1])), np.ones(len(points), dtype=bool)
     nodal[inner], left[inner] = fits[:, 0], False
-    shared = sparse.coo_array(around[left] @ around[inner].T)
-    (row, fit), at = shared.coords, np.flatnonzero(left)
-    away = points[at[row]] - points[inner[fit]]
-    np.add.at(nodal, at[row], shared.data[:, None] * (fits[fit, 0] + np.einsum("nd,ndc->nc", away, fits[fit, 1:])))
-    weights = np.bincount(at[row], shared.data, len(points))
+    # the nodes of each element
+    corners_of = sparse.csr_array((np.ones(cells.size), cells.reshape(-1), corners * np.arange(len(cells) + 1)),
+                                  shape=of_nodes.shape)
+    shared, fit = sparse.coo_array(around[left] @ corners_of), np.full(len(points), -1)
+    fit[inner] = np.arange(len(inner))
+    fitted = fit[shared.col] >= 0
+    at, other, often = np.flatnonzero(left)[shared.row[fitted]], shared.col[fitted], shared.data[fitted]
+    fits = fits[fit[other]]
+    away = points[at] - points[other]
+    np.add.at(nodal, at, often[:, None] * (fits[:, 0] + np.einsum("nd,ndc->nc", away, fits[:, 1:])))
+    weights = np.bincount(at, often, len(points))
     nodal[weights > 0] /= weights[weights > 0, None]
     left &= weights == 0
-    nodal[left] = _fits(around[left] @ around.T @ around, points[left], centroids, values)[0][:, 0]
+    nodal[left] = _fits(around[left] @ corners_of @ around, points[left], centroids, values)[0][:, 0]
     return cells, nodal
 
 
