@@ -352,7 +352,7 @@ def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
     """Return the translations and, about the principal axes at the centroid, rotations (n_dofs, k) of points,
     orthonormal."""
-    (n, dim), x = points.shape, points - points.mean(axis=0)
+    (n, dim), x = points.shape, points - np.einsum("nd->d", points) / len(points)
     spins = [[[0.0, 1.0], [-1.0, 0.0]]] if dim == 2 else np.cross(np.linalg.eigh(x.T @ x)[1].T[:, None], np.eye(3))
     modes = np.zeros((n, dim, dim + len(spins)))
     modes[:, range(dim), range(dim)] = 1 / np.sqrt(n)

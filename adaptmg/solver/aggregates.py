@@ -100,7 +100,7 @@ class Aggregates:
         bodies = int(group.max()) + 1
         if problem.coupling is not None:
             group[problem.contact.nodes] += bodies
-        group[problem.fixed.reshape(-1, dim).all(axis=1)] = -1
+        group[np.logical_and.reduce([problem.fixed[k::dim] for k in range(dim)])] = -1
         size, depth = _SIZE[dim]
         if n > _MANY[dim]:
             size = max(_LARGE, n // _MOST[dim])

@@ -295,7 +295,7 @@ class Evidence:
 
     def balance(self) -> Condition:
         """Return the sum of loads, supports, claimed contact forces and foundations: what free dofs do not explain."""
-        sums = self.left.sum(axis=0)
+        sums = np.einsum("nd->d", self.left)
         total = float(np.linalg.norm(sums))
         # n roundings of random sign
         rounding = self.rounding * np.sqrt(self.problem.n_nodes)
@@ -381,7 +381,7 @@ class Evidence:
         change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
         slides, along = ~stays | beyond, normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
-        others = np.setdiff1d(np.flatnonzero(self.fixed.any(axis=1)), nodes, assume_unique=True)
+        others = np.setdiff1d(self.fixed.nonzero()[0], nodes)
         kept = slides[:, None, None] * tangents + ~closed[:, None, None] * along
         kept = np.concatenate([kept * free[:, :, None] * free[:, None], ~self.fixed[others][:, :, None] * np.eye(dim)])
         turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))
