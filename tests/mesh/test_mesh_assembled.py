@@ -36,24 +36,6 @@ def off_circle(mesh: MeshArrays, boundary: str, center: tuple[float, float], rad
     return np.abs(distance / radius - 1).max()
 
 
-class TestMerged:
-    @pytest.mark.parametrize("assembly", [TWO, BOXES], ids=["2D", "3D"])
-    def test_bodies_are_concatenated(self, assembly):
-        parts = {name: structured(part, 2 + i) for i, (name, part) in enumerate(assembly.parts.items())}
-        mesh = check_mesh(structured(assembly, dict(zip(parts, (2, 3), strict=True))), assembly.boundaries)
-        assert mesh.bodies == assembly.bodies and mesh.boundaries == assembly.boundaries
-        start = 0
-        for i, (name, part) in enumerate(parts.items()):
-            mine = mesh.elements[mesh.element_body == i]
-            np.testing.assert_array_equal(mine - start, part.elements)
-            np.testing.assert_array_equal(mesh.points[start:start + part.n_nodes], part.points)
-            for edge in part.boundaries:
-                np.testing.assert_array_equal(mesh.boundary_facets(f"{name}.{edge}") - start,
-                                              part.boundary_facets(edge))
-            start += part.n_nodes
-        assert start == mesh.n_nodes
-
-
 class TestOutline:
     @pytest.mark.parametrize("ratio", [1, 100])
     def test_mixed_edges(self, ratio):
@@ -123,11 +105,6 @@ class TestSizedAssembly:
             assert edge_lengths(mesh, name)[near].max() < 1.45 * h
         assert off_circle(mesh, "ball.arc", (0, 8e-3), 8e-3) < 1e-15
         assert mesh.n_nodes < 4000 and quality(mesh).min_angle > 15 and quality(mesh).h_max > 0.7e-3
-
-    def test_sizes_by_body(self):
-        mesh = sized(TWO, {"upper": 0.1, "lower": lambda x: 0.2 + 0 * x[:, 0]}, {"upper": 1.0, "lower": 2.0})
-        fine, coarse = (np.median(mesh.element_sizes[mesh.element_body == i]) for i in (0, 1))
-        assert 0.07 < fine < 0.15 < coarse < 0.3
 
     def test_size_near(self):
         field = SizeNear([(0, 0), (4, 0)], size=0.1, radius=1.0, grading=0.5)

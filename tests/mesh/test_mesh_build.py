@@ -41,14 +41,10 @@ def test_ngsolve_sees_the_same_mesh_and_gives_it_back(mesh):
     x = ngsolve.CF((ngsolve.x, ngsolve.y, ngsolve.z)[:mesh.dim])
     flux = ngsolve.Integrate(x * ngsolve.specialcf.normal(mesh.dim), source, ngsolve.BND)
     assert flux == pytest.approx(mesh.dim * mesh.volumes.sum(), rel=1e-12)
-
-
-def test_tetrahedra_are_oriented_as_netgen_wants_them():
-    def signs(ngmesh):
-        corners = np.array(ngmesh.Coordinates())[ngmesh.Elements3D().NumPy()["nodes"] - 1]
-        return set(np.sign(np.linalg.det(corners[:, 1:] - corners[:, :1])))
-
-    assert signs(MESHES["3D"].source.ngmesh) == signs(unit_cube.GenerateMesh(maxh=0.5))
+    if mesh.dim == 3:
+        # Netgen counts the corners of tetrahedra the other way round
+        corners = mesh.points[source.ngmesh.Elements3D().NumPy()["nodes"] - 1]
+        assert (np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0).all()
 
 
 def periodic_square():

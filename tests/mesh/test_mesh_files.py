@@ -203,12 +203,3 @@ def test_damaged_files_are_read_soundly_or_refused(tmp_path):
             assert path.name in str(error)
             refused += 1
     assert 0 < refused < 48
-
-
-@pytest.mark.parametrize(("name", "text"), [
-    ("a.vol", mesh_files.VOL), ("b.msh", mesh_files.MSH),
-    ("e.vol", mesh_files.VOL.replace("\n", "\r\n") + "geometry\n")])
-def test_hostile_files_are_sound_before_they_are_damaged(tmp_path, name, text):
-    (tmp_path / name).write_bytes(text.encode())
-    mesh = as_mesh(tmp_path / name)
-    assert mesh.volumes.sum() == 2 and mesh.bodies == ("steel",)

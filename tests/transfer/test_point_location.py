@@ -50,19 +50,6 @@ def test_agrees_with_brute_force(seed, dim, n):
             np.testing.assert_allclose(weights @ mesh.points[mesh.elements[element]], nearest, atol=1e-9)
 
 
-@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
-def test_nodes_edges_and_faces(mesh):
-    locator = PointLocator(mesh)
-    found = locator.locate(mesh.points)
-    np.testing.assert_allclose(nodal(mesh, found), np.eye(mesh.n_nodes), atol=1e-9)
-    np.testing.assert_array_equal(found.distance, 0)
-    for part in range(2, mesh.dim + 1):
-        centres = mesh.points[mesh.elements[:, :part]].mean(axis=1)
-        found = locator.locate(centres)
-        np.testing.assert_array_equal(found.distance, 0)
-        np.testing.assert_allclose(position(mesh, found), centres, atol=1e-14)
-
-
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]))
 def test_outside_a_shape_that_is_not_convex(seed, dim):
