@@ -2,7 +2,6 @@
 neighbouring levels are neither too far apart nor too close."""
 
 import itertools
-from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,11 +22,6 @@ COARSE = 8e-3
 
 def loop(problem=None, start=COARSE, indicator=None, engine=BISECT, **options):
     return list(am.adapt(upset() if problem is None else problem, start, indicator, engine=engine, **options))
-
-
-@cache
-def steps(case: str) -> list[am.Step]:
-    return loop(upset(), max_nodes=1500) if case == "upset" else loop(am.cases.dovetail(), max_nodes=800)
 
 
 def test_forces_of_every_step_are_those_of_its_mesh():
@@ -62,7 +56,7 @@ def test_wide_gaps_and_slips_do_not_add_to_the_estimate(gap, slide):
 
 
 def test_the_estimate_falls_and_all_solves_cost_little():
-    found = steps("upset")
+    found = loop(max_nodes=1500)
     for number, (before, step) in enumerate(itertools.pairwise(found), start=1):
         assert step.number == number and before.nodes < step.nodes <= 1500
     assert found[-1].estimate.relative < 0.3 * found[0].estimate.relative

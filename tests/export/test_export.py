@@ -70,14 +70,10 @@ def _steps(count: int) -> list:
     return [dataclasses.replace(result, displacement=k * result.displacement) for k in range(count)]
 
 
-def _listed(pvd) -> list[tuple[float, str]]:
-    return [(float(entry.get("timestep")), entry.get("file")) for entry in ElementTree.parse(pvd).iter("DataSet")]
-
-
 def test_a_series_lists_every_step_and_replaces_an_older_one(tmp_path):
     for steps, times in ((_steps(3), (0.5, 1.0, 4.0)), (_steps(4)[2:], None)):
         pvd = vtk_series(steps, tmp_path / "deep" / "down" / "run.pvd", times)
-        listed = _listed(pvd)
+        listed = [(float(entry.get("timestep")), entry.get("file")) for entry in ElementTree.parse(pvd).iter("DataSet")]
         assert [time for time, _ in listed] == list(times or (0.0, 1.0))
         for (_, name), step in zip(listed, steps, strict=True):
             read = meshio.read(pvd.parent / name)

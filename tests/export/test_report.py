@@ -8,12 +8,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-from nasty_texts import NASTY
 from pages import Page
 
 from adaptmg.export import Report
 from adaptmg.export.report import DENSE, LONGEST, columns_of, one_line, worded
 
+#: names that end an attribute, open a tag, or are not allowed in XML or UTF-8 at all
+NASTY = ("a<b>&\"'", "]]>", "<!--", "&#0;", "line\nbreak\ttab", "\x00\x01\x1b[31m\x7f\x9f", "\udcff\ud800",
+         "\ufffe\uffff", "\U0001fffe", "\u00b5 \u4e2d \U0001f600", " ")
 FRAME = pd.DataFrame({"n<": [1], "t": ["<script>alert(1)</script>"]})
 
 
