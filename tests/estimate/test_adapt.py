@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from adaptive_loop import Constant, upset
 
 import adaptmg as am
 from adaptmg.estimate import loop as solving
@@ -16,6 +15,7 @@ from adaptmg.multigrid import split_matrix
 from adaptmg.transfer import size_ratio
 from adaptmg.transfer.interpolation import _size_ratios
 
+upset = am.cases.upset_block
 BISECT = am.Bisect()
 COARSE = 8e-3
 
@@ -175,8 +175,8 @@ def test_nothing_to_refine_ends_the_loop_but_not_a_large_mesh():
     stuck, most = SimpleNamespace(refine=lambda problem, mesh, *rest, **options: mesh), {"max_nodes": 1000}
     nothing = SimpleNamespace(mark=lambda estimate: np.zeros(len(estimate.squares), dtype=bool))
     for words, found in (("beyond rounding", loop(am.cases.two_block_patch(), 0.03, max_nodes=10**5)),
-                         ("no error", loop(indicator=Constant(0.0), engine=stuck, **most)),
-                         ("no finer mesh than that of 3", loop(indicator=Constant(), engine=stuck, **most)),
+                         ("no error", loop(indicator=Scripted({}, square=lambda n: 0.0), engine=stuck, **most)),
+                         ("no finer mesh than that of 3", loop(indicator=Scripted({}), engine=stuck, **most)),
                          ("the marking chooses no element", loop(mark=nothing, **most))):
         assert len(found) == 1 and "no progress" in found[0].outcome and words in found[0].outcome
         assert "coordinates" not in found[0].outcome

@@ -8,16 +8,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adaptive_loop import numbers_of, upset
 
 import adaptmg as am
 
-COARSE, NODES, UPSET = 8e-3, 300, upset()
+COARSE, NODES, UPSET = 8e-3, 300, am.cases.upset_block()
 
 
 def loop(store: Path | None, **options: object):
-    return am.adapt(**{"problem": upset(), "start": COARSE, "engine": am.Bisect(), "max_nodes": NODES, "store": store}
+    return am.adapt(**{"problem": UPSET, "start": COARSE, "engine": am.Bisect(), "max_nodes": NODES, "store": store}
                     | options)
+
+
+def numbers_of(steps: list[am.Step]) -> list[bytes]:
+    """Everything that the steps computed, timings apart."""
+    found = []
+    for step in steps:
+        mesh, work = step.hierarchy.finest.mesh, (step.work_units, step.total_work_units, step.result.rtol)
+        levels = [level.n_nodes for level in step.hierarchy.levels]
+        history = [array.tobytes() for array in vars(mesh.refinement).values()] if mesh.refinement else []
+        found.append(b"".join([*history, step.result.displacement.tobytes(), step.estimate.squares.tobytes(),
+                               mesh.points.tobytes(), mesh.elements.tobytes(), np.array(work).tobytes(),
+                               np.array(levels).tobytes()]))
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +105,8 @@ def test_limits_may_change(copied, whole):
 @pytest.mark.parametrize("what, options", [
     ("engine", {"engine": am.Remesh()}), ("mark", {"mark": am.Doerfler(0.3)}),
     ("indicator", {"indicator": am.Recovery()}), ("solver", {"solver": am.Multigrid()}),
-    ("transfer", {"transfer": am.L2()}), ("grids", {"start": 7e-3}), ("law", {"problem": upset(0.4)}),
+    ("transfer", {"transfer": am.L2()}), ("grids", {"start": 7e-3}),
+    ("law", {"problem": am.cases.upset_block(law=am.Coulomb(0.4))}),
     ("path", {"load_path": am.LoadPath({}, default=[0.5, 1.0])})])
 @pytest.mark.usefixtures("whole")
 def test_a_store_of_something_else_is_refused(kept, what, options):

@@ -57,17 +57,13 @@ def test_any_state_of_a_study_gives_a_page(tmp_path, frame):
     assert written(tmp_path, frame).all("table")
 
 
-@pytest.mark.parametrize("frame", [
-    pd.DataFrame({"a": ["x", "y", "z"], "r": [1, 2, 300]}), pd.DataFrame({"a": [None, 1, 2.5], "r": [1.0, 2.0, 3.0]}),
-    pd.DataFrame({"a": [(1, 2), (3, 4), "V"], "r": [1, -2, 3]}),
-    pd.DataFrame({"a": [True, False, True], "r": [1, 2, 3]}), pd.DataFrame({"a": [1, True, "1"], "r": [1, 2, 3]}),
-    pd.DataFrame({"a": [f"n{k}" for k in range(90)], "r": range(90)}),
-    pd.DataFrame({"a": np.geomspace(1e-8, 1, 90), "r": np.geomspace(1e9, 1, 90)}),
-    pd.DataFrame({"a": ["$x_", "_y", "\x00"], "r": [1, 2, 3]}), pd.DataFrame({"$a_": [1, 2], "r": [1, 2]})],
-    ids=["names", "none", "tuples", "bools", "mixed", "many names", "wide ranges", "odd names", "odd header"])
-def test_any_parameter_is_drawn(tmp_path, frame):
-    page = written(tmp_path, frame, parameters=[frame.columns[0]])
-    assert page.all("img")
+@pytest.mark.parametrize("values", [
+    ["x", "y", "z"], [None, 1, 2.5], [(1, 2), (3, 4), "V"], [True, False, True], [1, True, "1"],
+    [f"n{k}" for k in range(90)], np.geomspace(1e-8, 1, 90), ["$x_", "_y", "\x00"]],
+    ids=["names", "none", "tuples", "bools", "mixed", "many names", "wide ranges", "odd names"])
+def test_any_parameter_is_drawn(tmp_path, values):
+    frame = pd.DataFrame({"$a_": values, "r": np.geomspace(1e9, 1, len(values))})
+    assert written(tmp_path, frame, parameters=["$a_"]).all("img")
 
 
 def test_the_axis_is_the_number_with_most_values():
