@@ -222,10 +222,6 @@ def test_renaming():
     assert {"front", "face"} <= set(names) and names.count("top") == 1 and names.count("bottom") == 1
 
 
-def test_names_without_faces_are_an_error_only_when_used():
-    assert "bottom" in OCTANT.boundaries and graded(OCTANT, 0.5).boundaries == ("surface", "top", "left", "front")
-
-
 test_refused = refused(
     (lambda: Cylinder((0, 0, 0), (0, 0, 0), 1, 1), "axis must not be zero"),
     (lambda: Revolution(PROFILE, 361), "angle must be at most 360"),

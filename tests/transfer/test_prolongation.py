@@ -337,29 +337,6 @@ def bottom(mesh):
     return facets, np.unique(facets)
 
 
-def bulged(n):
-    """A cube whose bottom face is bent to a cap."""
-    cube = structured(n, 3)
-    points = np.array(cube.points)
-    points[:, 2] -= (1 - points[:, 2]) * 0.3 * (1 - (2 * points[:, 0] - 1) ** 2) * (1 - (2 * points[:, 1] - 1) ** 2)
-    mesh = mesh_of(points, cube.elements)
-    return mesh, cube.facets[(cube.points[cube.facets][:, :, 2] == 0).all(axis=1)]
-
-
-def test_on_a_curved_face_no_facet_is_nearer():
-    coarse, facets = bulged(4)
-    fine, fine_facets = bulged(9)
-    nodes = np.unique(fine_facets)
-    rows = surface_interpolation(coarse, fine, facets, nodes)
-    assert rows.data.min() >= 0 and np.diff(rows.indptr).max() <= 3
-    np.testing.assert_allclose(rows.sum(axis=1), 1, atol=1e-15)
-    distance = np.linalg.norm(rows @ coarse.points - fine.points[nodes], axis=1)
-    weights = np.array([(a, b, 12 - a - b) for a in range(13) for b in range(13 - a)]) / 12
-    samples = np.einsum("wk,fkd->fwd", weights, coarse.points[facets]).reshape(-1, 3)
-    sampled = np.linalg.norm(samples[None] - fine.points[nodes][:, None], axis=2).min(axis=1)
-    assert (distance <= sampled + 1e-12).all()
-
-
 def rows_of(facets):
     return surface_interpolation(disk(2), disk(3), facets, np.unique(disk(3).facets))
 
