@@ -183,6 +183,10 @@ def test_netgen_files_are_read_as_netgen_reads_them(tmp_path, make):
 
 
 def test_every_cut_is_noticed(tmp_path):
+    for text in (mesh_files.VOL, mesh_files.VOL.replace("\n", "\r\n") + "geometry\n"):
+        (tmp_path / "whole.vol").write_bytes(text.encode())
+        mesh = as_mesh(tmp_path / "whole.vol")
+        assert mesh.volumes.sum() == 2 and mesh.bodies == ("steel",)
     for name, text in (("cut.vol", mesh_files.VOL), ("cut.msh", mesh_files.MSH)):
         for k in range(0, len(text) - 15, 37):
             (tmp_path / name).write_text(text[:k])

@@ -90,5 +90,7 @@ def test_counts_volumes_and_the_boundary_side_by_side(domain, divisions):
     assert mesh.sound and check_mesh(replace(mesh, source=None), domain.boundaries).sound
     counts = np.broadcast_to(divisions, mesh.dim)
     assert mesh.n_nodes == np.prod(counts + 1) and len(mesh.elements) == math.factorial(mesh.dim) * np.prod(counts)
+    # every node is one of the mesh with twice the divisions, to the last bit
+    assert set(map(tuple, mesh.points)) <= set(map(tuple, structured(domain, 2 * counts).points))
     volume = np.prod(domain.upper - domain.lower)
     np.testing.assert_allclose(mesh.volumes, volume / len(mesh.elements), rtol=1e-11)
