@@ -319,7 +319,7 @@ def flat_punch(*, law: Law = am.Frictionless(), load: float = 1e6, half_width: f
                young: float = 2.1e11, poisson: float = 0.3) -> am.ContactProblem:
     """Pose a flat rigid punch on a block 40 half-widths deep and 80 wide; plane strain, one half by symmetry.
 
-    ``reference`` holds, without friction, ``pressure`` (a function of x in m, |x| < a), ``exponent`` (of the
+    ``reference`` holds, without friction, ``pressure`` (a function of x, m, between -a and a), ``exponent`` (of the
     singularity at the edge) and ``sources``.
 
     Parameters
