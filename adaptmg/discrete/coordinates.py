@@ -134,7 +134,7 @@ def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
 def held_slaves(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray, law: Law,
                 inclined: Inclined | None = None) -> np.ndarray:
     """Return the numbers of the contact nodes that a support holds along the surface, not so what they face, where
-    friction acts: their slip is no unknown of theirs."""
+    friction acts: their slip is not an unknown."""
     fixed = fixed.reshape(weights.shape[0], -1)
     limit, friction = law.bounds(len(nodes))
     rows = sparse.csr_array(weights[nodes])

@@ -192,7 +192,7 @@ def held_directions(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[st
     result = {}
     for name, directions in found.items():
         result[name] = np.array(sorted({tuple(direction.tolist()) for direction in directions}))
-        if (np.abs(directions).max(axis=1) < 1.0).any():  # axes stay as they are, to the bit
+        if (np.abs(directions).max(axis=1) < 1.0).any():  # axes stay unchanged, to the bit
             _, sizes, rows = np.linalg.svd(result[name], full_matrices=False)
             result[name] = rows[sizes > _PARALLEL]
     return result

@@ -19,7 +19,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._text import say
 from adaptmg.estimate.engines import Bisect, Engine, sound_mesh
-from adaptmg.estimate.estimate import Doerfler, Found, Indicator, Mark, Residual
+from adaptmg.estimate.estimate import AnyEstimate, Doerfler, Indicator, Mark, Residual
 from adaptmg.estimate.loop import LOOP_KINDS, AdaptiveLoop, Limits, LoopParts, Progress, Step, loop_fingerprint
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import need_domain
@@ -39,11 +39,11 @@ if TYPE_CHECKING:
 
 def adapt(problem: ContactProblem,
           start: float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None = None,
-          indicator: Indicator[Found] | None = None, mark: Mark | None = None, engine: Engine | None = None, *,
+          indicator: Indicator[AnyEstimate] | None = None, mark: Mark | None = None, engine: Engine | None = None, *,
           tolerance: float | None = None, max_nodes: int | None = None, max_seconds: float | None = None,
           store: str | os.PathLike[str] | None = None, depends: Mapping[str, object] | None = None,
           transfer: Transfer | None = None, solver: Solver | None = None, load_path: LoadPath | None = None,
-          adapt_on: str = "last", progress: Progress | bool | None = None) -> Iterator[Step[Found]]:
+          adapt_on: str = "last", progress: Progress | bool | None = None) -> Iterator[Step[AnyEstimate]]:
     """Solve on meshes that follow the error, one finer than the other, until a limit is reached.
 
     Without ``tolerance``, ``max_nodes`` and ``max_seconds`` it ends at 20 000 nodes. Warnings as of
@@ -128,7 +128,7 @@ def adapt(problem: ContactProblem,
         head = {"fingerprint": loop_fingerprint(first, options, load_path, depends)}
         steps = StepStore.resumed(store, "loop.json", head, LOOP_KINDS)
     report = _written if progress is True else progress or None
-    return cast("Iterator[Step[Found]]", AdaptiveLoop(first, parts, limits, steps, report).steps())
+    return cast("Iterator[Step[AnyEstimate]]", AdaptiveLoop(first, parts, limits, steps, report).steps())
 
 
 def _check_obstacles(problem: ContactProblem, path: LoadPath | None) -> None:

@@ -156,15 +156,15 @@ if TYPE_CHECKING:
     from typing_extensions import TypeVar  # Python's has no default before 3.13
 
     #: what an indicator returns, and so the steps of a loop with it hold
-    Found = TypeVar("Found", bound=Estimate, default=Estimate, covariant=True)
+    AnyEstimate = TypeVar("AnyEstimate", bound=Estimate, default=Estimate, covariant=True)
 else:
-    Found = TypeVar("Found", covariant=True)
+    AnyEstimate = TypeVar("AnyEstimate", covariant=True)
 
 
-class Indicator(Protocol[Found]):
+class Indicator(Protocol[AnyEstimate]):
     """What estimates the error: Residual, Recovery, Goal or a user-defined object."""
 
-    def indicate(self, hierarchy: Hierarchy, result: Result) -> Found:
+    def indicate(self, hierarchy: Hierarchy, result: Result) -> AnyEstimate:
         """Return the estimate for the elements of the finest mesh."""
 
 

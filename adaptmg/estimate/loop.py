@@ -31,7 +31,7 @@ from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.discretise import load_steps
 from adaptmg.estimate.engines import Engine, divisible, sound_mesh
-from adaptmg.estimate.estimate import Estimate, Found, Indicator, Mark, estimate_of, marks_of
+from adaptmg.estimate.estimate import AnyEstimate, Estimate, Indicator, Mark, estimate_of, marks_of
 from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh import with_source
@@ -76,7 +76,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Step(Generic[Found]):
+class Step(Generic[AnyEstimate]):
     """A mesh of the adaptive loop, solved and estimated; printing it shows a line with its figures.
 
     Attributes
@@ -116,7 +116,7 @@ class Step(Generic[Found]):
     number: int
     hierarchy: Hierarchy
     result: Result
-    estimate: Found
+    estimate: AnyEstimate
     timings: Mapping[str, float]
     total_seconds: float
     work_units: float
