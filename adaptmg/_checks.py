@@ -387,8 +387,10 @@ class Checked:
 
 @cache
 def _field_checks(kind: type) -> list[tuple[str, Callable[[str, object], object], bool]]:
+    # annotations of a user's subclass may be names that only type checkers know
+    own = next(base for base in kind.__mro__ if base.__module__.startswith("adaptmg."))
     result = []
-    for name, hint in get_type_hints(kind, include_extras=True).items():
+    for name, hint in get_type_hints(own, include_extras=True).items():
         choices = (hint, *get_args(hint))
         found = [check for one in choices for check in getattr(one, "__metadata__", ()) if callable(check)]
         result += [(name, check, type(None) in choices) for check in found]

@@ -152,6 +152,8 @@ class TestDiscretise:
 @pytest.mark.parametrize("law", [am.Coulomb(lambda p: 0.2 + p[:, 0]), am.Tresca(3e6)], ids=["Coulomb", "Tresca"])
 def test_a_subclass_of_a_law_keeps_its_bounds(law):
     class Half(type(law)):
+        whole: "Half | None" = None  # a name that only type checkers know
+
         def bounds(self, n_contact):
             limit, friction = super().bounds(n_contact)
             return 0.5 * limit, 0.5 * friction
