@@ -57,14 +57,14 @@ class LoadPath:
     def __post_init__(self) -> None:
         factors = checks.mapping("factors", self.factors, "names of boundaries or bodies to factors")
         values = {checks.boundary_name("the names in factors", name): _factors(f"factors[{name!r}]", value)
-                  for name, value in factors.items()} | {DEFAULT: _factors("default", self.default)}
+                  for name, value in factors.items()} | {None: _factors("default", self.default)}
         lengths = {name: value.size for name, value in values.items() if value.ndim}
         steps = max(lengths.values(), default=1)
         if set(lengths.values()) - {steps} or not steps:
             raise ValueError("factors must have the same number of steps, one at least, got "
-                             + ", ".join(f"{n} for {name!r}" for name, n in lengths.items()))
+                             + ", ".join(f"{n} for {name or DEFAULT!r}" for name, n in lengths.items()))
         spread = {name: np.broadcast_to(value, (steps,)) for name, value in values.items()}
-        object.__setattr__(self, "default", spread.pop(DEFAULT))
+        object.__setattr__(self, "default", spread.pop(None))
         object.__setattr__(self, "factors", spread)
 
     def __len__(self) -> int:

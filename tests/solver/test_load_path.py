@@ -157,7 +157,7 @@ class TestData:
                 ({"top": [1, 2]}, [1.0], "1 for 'default'"), ({"top": []}, 1.0, "one at least")):
             with pytest.raises(ValueError, match=message):
                 am.LoadPath(factors, default)
-        for name in ("lid", "right", "bottom", "body"):
+        for name in ("lid", "right", "bottom", "body", "default"):
             with pytest.raises(ValueError, match=f"names '{name}'.*known are 'top', 'left'"):
                 am.solve_path(rough, am.LoadPath({name: [1, 2]}))
         loads = am.Pressure("part", 1.0), am.InitialStrain("part", (1e-5, 0.0)), am.BodyForce((0.0, 1.0), name="weight")
