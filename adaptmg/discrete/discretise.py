@@ -228,7 +228,7 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
     excluded = np.empty(0, dtype=np.int64)
     while True:
         contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded,
-                                               held=held, ties=ties)
+                                        held=held, ties=ties)
         if weights is None:
             return contact, None
         law = _nodal_law(problem, mesh, contact)
