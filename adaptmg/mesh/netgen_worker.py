@@ -395,7 +395,8 @@ MeshioTables = tuple[np.ndarray, list, dict, dict]
 
 def read_meshio(path: str) -> MeshioTables:
     """Return points, cells (kind, nodes), sets of cells (block, rows) and sets of nodes of a file that meshio reads. Of
-    Gmsh it reads no 13-node pyramids and 15-node wedges, and of groups without names that share a curve the first."""
+    Gmsh it reads no 13-node pyramids and 15-node wedges, of groups without names that share a curve the first, and of a
+    name for groups of two dimensions the last."""
     import meshio
 
     try:
@@ -407,7 +408,9 @@ def read_meshio(path: str) -> MeshioTables:
     sets = {name: [(k, rows) for k, rows in enumerate(members) if rows is not None and len(rows)]
             for name, members in raw.cell_sets.items() if not name.startswith("gmsh:")}
     if of_gmsh or not sets:
-        sets = _numbered(raw) | sets
+        # groups whose numbers are negative, of curves that run the other way, are not in the sets
+        numbered = _numbered(raw)
+        sets = {name: numbered.get(name, []) + sets.get(name, []) for name in numbered | sets}
     points = np.zeros((len(raw.points), 3))
     points[:, :raw.points.shape[1]] = raw.points
     cells = [(block.type, np.asarray(block.data)) for block in raw.cells]
@@ -417,16 +420,17 @@ def read_meshio(path: str) -> MeshioTables:
 
 
 def _numbered(raw: meshio.Mesh) -> dict[str, list[tuple[int, np.ndarray]]]:
-    """Sets of cells by the numbers of the first data that are whole numbers; Gmsh has names for some, and 0 for none.
-    """
+    """Sets of cells by the numbers of the first data that are whole numbers; of Gmsh by those of physical groups, which
+    have names for some, and 0 for none."""
     sets: dict[str, list[tuple[int, np.ndarray]]] = {}
-    key, numbers = next(((key, parts) for key, parts in raw.cell_data.items()
-                         if all(part.dtype.kind in "iu" and part.ndim == 1 for part in parts)), ("", []))
+    key, numbers = next(((key, parts) for key, parts in raw.cell_data.items() if key != "gmsh:geometrical"
+                         and all(part.dtype.kind in "iu" and part.ndim == 1 for part in parts)), ("", []))
     names = {tuple(map(int, pair)): name for name, pair in raw.field_data.items() if np.size(pair) == 2}
     for k, (block, part) in enumerate(zip(raw.cells, numbers, strict=False)):
         for value in np.unique(part).tolist():
-            if value or not key.startswith("gmsh:"):
-                name = names.get((abs(value), block.dim), str(abs(value)))
+            number = abs(value) if key == "gmsh:physical" else value
+            if value or key != "gmsh:physical":
+                name = names.get((number, block.dim), str(number))
                 sets.setdefault(name, []).append((k, np.flatnonzero(part == value)))
     return sets
 

@@ -67,6 +67,12 @@ def test_groups_of_some_and_several_groups(tmp_path):
         assert mesh.bodies == ("steel",) and mesh.boundaries == (chosen,) and mesh.volumes.sum() == 0.5
     path.write_text(mesh_files.MSH.replace('2\n1 5 "rim"\n2 3 "steel"', '1\n1 5 "rim"'))
     assert from_file(path).bodies == ("3",) and from_file(path).boundaries == ("rim",)
+    # of curves that run the other way the numbers are negative
+    path.write_text(mesh_files.MSH.replace(" 1 5 0\n", " 1 -5 0\n").replace(" 1 3 0\n", " 1 -3 0\n"))
+    assert from_file(path).bodies == ("steel",) and from_file(path).boundaries == ("rim",)
+    path.write_text(mesh_files.MSH.replace(" 1 5 0\n", " 0 0\n").replace(" 1 3 0\n", " 0 0\n"))
+    mesh = from_file(path, unnamed="free")
+    assert mesh.bodies == ("body",) and mesh.boundaries == ("free",)
     path.write_text(mesh_files.MSH.replace(" 1 5 0\n", " 0 0\n"))
     with pytest.raises(ValueError, match=r"m.msh.*gmsh:physical.*write it as MSH 2.2"):
         from_file(path)
