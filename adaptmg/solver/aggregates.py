@@ -108,7 +108,8 @@ class Aggregates:
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
         label = np.full(n, -1, dtype=np.int32)
         _grow(matrix.indptr, matrix.indices, group, sizes, depth, label, *np.empty((2, n), dtype=np.int32))
-        graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr))
+        graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr),
+                                 shape=(n, n))
         label = _joined(graph, label, group, sizes)
         inside = label >= 0
         self.label, self.count = label[inside].astype(np.int32), int(label.max(initial=-1)) + 1

@@ -121,7 +121,8 @@ def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: Contact
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
         evidence = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, pressures, residual)
-        energy, energy_rounding = evidence.energy_error(None if bound else aggregates_of(problem), rtol)
+        aggregates = None if bound or problem.fixed.all() else aggregates_of(problem)
+        energy, energy_rounding = evidence.energy_error(aggregates, rtol)
         lines = evidence.lines()
     return Certificate(lines, 0.0 if evidence.idle else energy, energy_rounding, bound, evidence.force, evidence.length,
                        evidence.energy)

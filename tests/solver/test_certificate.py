@@ -226,6 +226,13 @@ def test_a_status_that_hides_the_error_may_change():
     assert 0.67 * true <= result.checked.energy_error <= 1.5 * true
 
 
+def test_nothing_is_missing_where_all_dofs_are_fixed():
+    contact = am.ContactNodes(nodes=[], normals=np.empty((0, 2)), gaps=[])
+    problem = am.DiscreteProblem(matrix=sparse.eye_array(4), load=np.ones(4), fixed=np.ones(4, dtype=bool),
+                                 law=am.Frictionless(), contact=contact)
+    assert am.solve(problem, am.SingleGrid()).checked.energy_error == 0.0
+
+
 def test_one_step_sees_what_is_smooth():
     """Hats that keep the contact status; constants over boxes that leave contact out see a third of it here."""
     hierarchy = grids(divisions=(4, 8, 16, 32, 64))
