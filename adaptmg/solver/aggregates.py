@@ -85,7 +85,7 @@ def _joined(graph: sparse.csr_array, label: np.ndarray, group: np.ndarray, sizes
     order = np.argsort(-members[other], kind="stable")  # of several values the last one stays
     home = np.arange(len(members))
     home[own[order]] = other[order]
-    number = np.cumsum(home == np.arange(len(home))) - 1
+    number = np.cumsum(home == np.arange(len(home)), dtype=np.int32) - 1
     return np.where(inside, number[home[label]], -1)
 
 
@@ -112,35 +112,38 @@ class Aggregates:
                                  shape=(n, n))
         label = _joined(graph, label, group, sizes)
         inside = label >= 0
-        self.label, self.count = label[inside].astype(np.int32), int(label.max(initial=-1)) + 1
+        self.label, self.count = label[inside], int(label.max(initial=-1)) + 1
         self.starts = np.append(0, np.cumsum(inside)).astype(np.int32)  # of the rows of the basis
         self.motions = self._rigid(np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside)
         # a narrow band: the place of each aggregate, and how far it reaches
-        pairs = sparse.csr_array((np.ones(len(self.label), dtype=bool), self.label, self.starts), shape=(n, self.count))
-        coarse = sparse.csr_array(pairs.T @ (graph @ pairs))
+        own, other = np.repeat(label, np.diff(matrix.indptr)), label.take(matrix.indices)
+        met = np.flatnonzero((own != other) & inside.take(matrix.indices))
+        met = met[own[met] >= 0]
+        coarse = sparse.csr_array((np.ones(len(met), dtype=bool), (own[met], other[met])), shape=(self.count,) * 2)
         self.place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
         rows = np.repeat(self.place, np.diff(coarse.indptr))
         self.width = int(np.max(rows - self.place[coarse.indices], initial=0)) + 1
 
     def _rigid(self, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
-        """Rigid motions (n, dim, modes): translations, and turns about the centre over the extent of an aggregate (root
+        """Rigid motions (n, modes, dim): translations, and turns about the centre over the extent of an aggregate (root
         of the mean square)."""
         dim, members = points.shape[1], np.bincount(self.label, minlength=self.count)
-        centres = np.stack([np.bincount(self.label, x, self.count) / members for x in points[inside].T], axis=1)
-        offset = points[inside] - centres.take(self.label, axis=0)
-        extent = np.sqrt(np.bincount(self.label, np.einsum("nd,nd->n", offset, offset), self.count) / members)
-        offset /= np.where(extent > 0, extent, 1.0)[self.label, None]
-        motions = np.zeros((len(offset), dim, 3 * dim - 3))
-        motions[:, range(dim), range(dim)] = 1.0
+        offset = np.array([x[inside] for x in points.T])
+        for x in offset:
+            x -= (np.bincount(self.label, x, self.count) / members).take(self.label)
+        extent = np.sqrt(np.bincount(self.label, np.einsum("dn,dn->n", offset, offset), self.count) / members)
+        offset /= np.where(extent > 0, extent, 1.0).take(self.label)
+        motions = np.zeros((len(self.label), 3 * dim - 3, dim))
+        motions[:, :dim] = np.eye(dim)
         for k, (a, b) in enumerate([(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)], dim):
-            motions[:, a, k], motions[:, b, k] = -offset[:, b], offset[:, a]
+            motions[:, k, a], motions[:, k, b] = -offset[b], offset[a]
         return motions
 
     def projected(self, nodes: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """Return the motions, at some nodes projected by ``kept`` (n, dim, dim)."""
         motions, row = self.motions.copy(), self.starts[nodes]
         inside = self.starts[nodes + 1] > row
-        motions[row[inside]] = kept[inside] @ motions[row[inside]]
+        motions[row[inside]] = motions[row[inside]] @ kept[inside].swapaxes(1, 2)
         return motions
 
 
@@ -203,9 +206,8 @@ class CoarseCorrection:
 
     def __init__(self, matrix: sparse.bsr_array, aggregates: Aggregates, motions: np.ndarray, nodes: np.ndarray,
                  stiffening: np.ndarray) -> None:
-        _, dim, modes = motions.shape
-        self._basis = (aggregates.starts, aggregates.label, motions.swapaxes(1, 2).reshape(-1), aggregates.place,
-                       ZERO[dim])
+        _, modes, dim = motions.shape
+        self._basis = aggregates.starts, aggregates.label, motions.reshape(-1), aggregates.place, ZERO[dim]
         band = np.zeros((modes * aggregates.count, modes * aggregates.width))
         _fill(matrix.indptr, matrix.indices, matrix.data.reshape(-1), *self._basis, np.zeros(dim * modes), band)
         if stiffening.any():
@@ -259,8 +261,8 @@ class _Smoothed:
         matrix, nodes = sparse.csr_array(problem.matrix), np.arange(problem.n_nodes)
         aggregates = aggregates_of(problem)
         motions = aggregates.projected(nodes, free.reshape(-1, dim)[:, :, None] * np.eye(dim))
-        basis = sparse.bsr_array((motions, aggregates.label, aggregates.starts),
-                                 shape=(len(free), motions.shape[2] * aggregates.count))
+        basis = sparse.bsr_array((motions.swapaxes(1, 2), aggregates.label, aggregates.starts),
+                                 shape=(len(free), motions.shape[1] * aggregates.count))
         inverse = np.where(free, 1 / matrix.diagonal(), 0.0)
         vector = np.where(free, np.sin(np.arange(len(free)) ** 2.0), 0.0)
         for _ in range(10):

@@ -321,7 +321,7 @@ def test_the_coarse_correction_is_galerkins(problem):
     blocks = np.stack([np.diag(row) for row in discrete.matrix.diagonal().reshape(n, dim)])
     coarse = np.zeros(n * dim)
     CoarseCorrection(discrete.matrix, aggregates, motions, every, blocks).add(residual, coarse)
-    basis = sparse.bsr_array((motions, aggregates.label, aggregates.starts)).toarray()
+    basis = sparse.bsr_array((motions.swapaxes(1, 2), aggregates.label, aggregates.starts)).toarray()
     dense += np.diag(np.diag(dense))
     exact = basis @ np.linalg.solve(basis.T @ dense @ basis, basis.T @ residual)
     np.testing.assert_allclose(coarse, exact, atol=1e-8 * abs(exact).max())
