@@ -45,8 +45,8 @@ def convert(owner: object, check: Callable[..., object], /, *names: str, **optio
 
 def number(name: str, value: object) -> float:
     """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several numbers are refused."""
-    if type(value) is float and -VAST <= value <= VAST:
-        return value  # most are, and the questions below take time
+    if type(value) in (float, int) and -VAST <= value <= VAST:
+        return float(value)  # most are, the questions below take time, and numpy has no integers of any size
     entries = real_array(value)
     if entries is None or entries.ndim:
         raise TypeError(f"{name} must be a number, got {shown(value)}")

@@ -66,7 +66,7 @@ def test_what_was_meant():
     support = am.Support("right", x=np.float32(0.5), y=np.int64(0))
     assert support.x == 0.5 and type(support.x) is float and type(support.y) is float
     assert am.Multigrid(rtol=np.float64(1e-6), max_cycles=np.int32(7)).max_cycles == 7
-    for value in (1e-40, 1.0, 1e40):
+    for value in (1e-40, 1.0, 10**20, 1e40):
         assert checks.quantity("young", value, positive=True) == value and checks.quantity("value", -value) == -value
 
 
