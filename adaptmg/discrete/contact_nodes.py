@@ -118,7 +118,7 @@ class ContactNodes(checks.Checked):
 
     @property
     def dim(self) -> int:
-        """Space dimension."""
+        """Return the space dimension."""
         return self.normals.shape[1]
 
 

@@ -260,12 +260,12 @@ class DiscreteProblem(Unknowns):
 
     @property
     def n_dofs(self) -> int:
-        """Number of degrees of freedom, fixed ones included."""
+        """Return the number of degrees of freedom, fixed ones included."""
         return self.matrix.shape[0]
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes."""
+        """Return the number of nodes."""
         return self.n_dofs // self.dim
 
 

@@ -117,12 +117,12 @@ class Estimate:
 
     @property
     def total(self) -> float:
-        """Square root of the sum of squares, sqrt(N m); of a goal the absolute value of ``signed``, in its unit."""
+        """Return the square root of the sum of squares, sqrt(N m); of a goal the absolute ``signed``, in its unit."""
         return float(np.sqrt(self.squares.sum())) if self.signed is None else abs(self.signed)
 
     @property
     def relative(self) -> float:
-        """``total`` over ||u_h||_A; of a goal over ``|value|``, infinite where that is 0 and a square is not."""
+        """Return ``total`` over ||u_h||_A; of a goal over ``|value|``, infinite where that is 0 and a square is not."""
         size = self.norm if self.value is None else abs(self.value)
         if size > 0:
             return self.total / size

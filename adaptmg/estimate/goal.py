@@ -70,7 +70,7 @@ class GoalEstimate(Estimate):
 
     @property
     def corrected(self) -> np.ndarray:
-        """Values plus estimated errors (n,)."""
+        """Return the values plus their estimated errors (n,)."""
         return self.values + self.errors
 
     def __repr__(self) -> str:
@@ -131,7 +131,7 @@ class Goal:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """All of them."""
+        """Return all quantities."""
         return tuple(self.quantity) if isinstance(self.quantity, (list, tuple)) else (self.quantity,)
 
     @one_blas_thread()

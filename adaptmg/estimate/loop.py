@@ -127,12 +127,12 @@ class Step(Generic[AnyEstimate]):
 
     @property
     def nodes(self) -> int:
-        """Nodes of the mesh."""
+        """Return the number of nodes of the mesh."""
         return self.hierarchy.finest.n_nodes
 
     @property
     def seconds(self) -> float:
-        """Of this step, the mesh included."""
+        """Return the seconds of this step, the mesh included."""
         return float(sum(self.timings.values()))
 
     def __repr__(self) -> str:

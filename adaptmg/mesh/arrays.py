@@ -175,12 +175,12 @@ class MeshArrays:
 
     @property
     def dim(self) -> int:
-        """Space dimension, 2 or 3."""
+        """Return the space dimension, 2 or 3."""
         return self.points.shape[1]
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes."""
+        """Return the number of nodes."""
         return len(self.points)
 
     def boundary_facets(self, boundary: str) -> np.ndarray:
@@ -209,12 +209,12 @@ class MeshArrays:
 
     @cached_property
     def element_sizes(self) -> np.ndarray:
-        """Longest edge of each element (n_elements,), m."""
+        """Return the longest edge of each element (n_elements,), m."""
         return longest_edges(self.points.take(self.elements, axis=0))
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """Signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
+        """Return the signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
         return signed_measures(self.points, self.elements)
 
 
@@ -232,12 +232,12 @@ class Surface:
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """Nodes of the facets, ascending."""
+        """Return the nodes of the facets, ascending."""
         return np.unique(self.facets)
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        """Area vectors (n, dim)."""
+        """Return the area vectors (n, dim)."""
         start, *ends = (self.points.take(corners, axis=0) for corners in self.facets.T)
         if self.points.shape[1] == 2:
             return (ends[0] - start)[:, ::-1] * [1.0, -1.0]
@@ -245,17 +245,17 @@ class Surface:
 
     @cached_property
     def measures(self) -> np.ndarray:
-        """Lengths (n,), m, or areas, m^2."""
+        """Return the lengths (n,), m, or areas, m^2."""
         return np.linalg.norm(self.vectors, axis=1)
 
     @cached_property
     def normals(self) -> np.ndarray:
-        """Unit normals (n, dim) of the facets."""
+        """Return the unit normals (n, dim) of the facets."""
         return self.vectors / self.measures[:, None]
 
     @cached_property
     def node_normals(self) -> np.ndarray:
-        """Average unit normals (n_nodes, dim), 0 at other nodes; ValueError where the facets at a node cancel."""
+        """Return the mean unit normals (n_nodes, dim), 0 at other nodes; ValueError where the facets at a node cancel."""
         total, measure, nodes = np.zeros(self.points.shape), np.zeros(len(self.points)), self.nodes
         for corner in self.facets.T:
             np.add.at(total, corner, self.vectors)

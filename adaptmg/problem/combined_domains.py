@@ -78,12 +78,12 @@ class Combination(SolidDomain):
 
     @property
     def dim(self) -> int:
-        """Space dimension of both."""
+        """Return the space dimension of both."""
         return self.a.dim
 
     @cached_property
     def outline(self) -> Outline:
-        """Of plane domains: the edges of the result, holes included."""
+        """Return, of plane domains, the edges of the result, holes included."""
         parts = [replace(outline, boundaries=tuple(self.renamed(part, name) for name in outline.boundaries))
                  for part, outline in (("a", self.a.outline), ("b", self.b.outline))]
         return combined(type(self).__name__, *parts)
@@ -94,7 +94,7 @@ class Combination(SolidDomain):
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Distinct names: those of a, then those of b; of some of them no face of a solid may be left."""
+        """Return the distinct names: those of a, then those of b; of some of them no face of a solid may be left."""
         if self.dim == 2:
             return tuple(dict.fromkeys(self.outline.boundaries))
         both = ((part, name) for part in "ab" for name in getattr(self, part).boundaries)
@@ -307,12 +307,12 @@ class Cracked(SolidDomain):
 
     @property
     def dim(self) -> int:
-        """Space dimension."""
+        """Return the space dimension."""
         return self.domain.dim
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Those of the body, then the two faces of each crack."""
+        """Return the boundaries of the body, then the two faces of each crack."""
         return (*self.domain.boundaries, *(f"{name}.{side}" for name in self.cracks for side in _SIDES))
 
     def _extremes(self) -> np.ndarray:
@@ -320,7 +320,7 @@ class Cracked(SolidDomain):
 
     @cached_property
     def outline(self) -> Slit:
-        """Of a plane body its outline, with the cracks as holes without width."""
+        """Return the outline of a plane body, with the cracks as holes without width."""
         body, paths = self._anchored()
         _check_cracks(body, paths)
         vertices, names, holes, twins = list(body.vertices), list(body.boundaries), list(body.holes), {}
@@ -441,17 +441,17 @@ class Assembly(Domain):
 
     @property
     def dim(self) -> int:
-        """Space dimension."""
+        """Return the space dimension."""
         return next(iter(self.parts.values())).dim
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies, in order."""
+        """Return the names of the bodies, in order."""
         return tuple(self.parts)
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """The distinct boundary names "body.edge", body by body."""
+        """Return the distinct boundary names "body.edge", body by body."""
         return tuple(dict.fromkeys(f"{body}.{edge}" for body, part in self.parts.items() for edge in part.boundaries))
 
     def _extremes(self) -> np.ndarray:

@@ -231,17 +231,17 @@ class ContactProblem(checks.Checked):
 
     @property
     def dim(self) -> int:
-        """Space dimension."""
+        """Return the space dimension."""
         return self._any_material.dim
 
     @property
     def axisymmetric(self) -> bool:
-        """Whether the bodies are :class:`Axisymmetric`."""
+        """Return whether the bodies are :class:`Axisymmetric`."""
         return isinstance(self._any_material, Axisymmetric)
 
     @property
     def by_force(self) -> bool:
-        """Whether forces are prescribed whose motions are to be found: those of rigid obstacles, of preloads."""
+        """Return whether forces are prescribed whose motions are unknown: those of rigid obstacles, of preloads."""
         return any(isinstance(load, Preload) for load in self.loads) or any(
             isinstance(one, Contact) and isinstance(one.obstacle, Rigid) for one in self.contact)
 
@@ -251,30 +251,30 @@ class ContactProblem(checks.Checked):
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies: those of the domain, or else of the materials; () where only the mesh knows them."""
+        """Return the names of the bodies, of the domain or else of the materials; () where only the mesh knows them."""
         if self.domain is not None and self.domain.bodies is not None:
             return self.domain.bodies
         return () if isinstance(self.material, Elastic) else tuple(self.material)
 
     @property
     def contact_boundaries(self) -> tuple[str, ...]:
-        """Names of the boundaries that carry contact nodes, in the order of ``contact``; of a pair the slave."""
+        """Return the boundaries that carry contact nodes, in the order of ``contact``; of a pair the slave."""
         return tuple(c.boundary for c in self.contact)
 
     @property
     def masters(self) -> tuple[str, ...]:
-        """For each of ``contact`` the master boundary, "" for a rigid obstacle."""
+        """Return for each of ``contact`` the master boundary, "" for a rigid obstacle."""
         return tuple(c.master if isinstance(c, ContactPair) else "" for c in self.contact)
 
     @property
     def pair_boundaries(self) -> tuple[str, ...]:
-        """Distinct names of all boundaries that may touch something, masters too: where meshes are to be fine."""
+        """Return the distinct names of all boundaries that may touch, masters too: where meshes are to be fine."""
         pairs = zip(self.contact_boundaries, self.masters, strict=True)
         return tuple(dict.fromkeys(name for pair in pairs for name in pair if name))
 
     @property
     def tied_boundaries(self) -> tuple[str, ...]:
-        """Distinct names of all tied boundaries."""
+        """Return the distinct names of all tied boundaries."""
         return tuple(dict.fromkeys(name for tie in self.ties for name in (tie.slave, tie.master)))
 
     def check_boundaries(self, known: tuple[str, ...]) -> None:

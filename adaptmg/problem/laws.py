@@ -52,7 +52,7 @@ class Anisotropy:
 
     @property
     def varies(self) -> bool:
-        """Whether the axes depend on the position."""
+        """Return whether the axes depend on the position."""
         return callable(self.axes) or callable(self.angle)
 
     def nearest(self) -> tuple[float, float]:
@@ -143,7 +143,7 @@ class Elastic(checks.Checked):
 
     @property
     def least_stiffness(self) -> float:
-        """The least norm of the stress of a strain over that of the strain, Pa."""
+        """Return the least norm of the stress of a strain over that of the strain, Pa."""
         if self.anisotropy is None:
             return 2 * self.shear_modulus + min(3 * self.lame, 0.0)
         # shear stresses and strains count twice in the norms of tensors
@@ -152,18 +152,18 @@ class Elastic(checks.Checked):
 
     @property
     def shear_modulus(self) -> float:
-        """Second Lame constant mu, Pa."""
+        """Return the second Lame constant mu, Pa."""
         return self.young / (2 * (1 + self.poisson))
 
     @property
     def lame(self) -> float:
-        """First Lame constant lambda as it enters the stress, Pa; infinite for Poisson's ratio 0.5."""
+        """Return the first Lame constant lambda as it enters the stress, Pa; infinite for Poisson's ratio 0.5."""
         compressible = (1 + self.poisson) * (1 - 2 * self.poisson)
         return self.young * self.poisson / compressible if compressible > 0 else math.inf
 
     @property
     def incompressible(self) -> bool:
-        """Whether ``lame`` is so large that only smoothed elements can take it."""
+        """Return whether ``lame`` is so large that only smoothed elements can take it."""
         return self.lame > self.shear_modulus / _FROM_LIMIT
 
 
@@ -224,7 +224,7 @@ class PlaneStress(_Plane):
 
     @property
     def lame(self) -> float:
-        """First Lame constant of plane stress, Pa."""
+        """Return the first Lame constant of plane stress, Pa."""
         return self.young * self.poisson / (1 - self.poisson**2)
 
 

@@ -75,19 +75,19 @@ class Acting(checks.Checked):
 
     @property
     def place(self) -> str:
-        """The name of the boundary or body, or the point as text."""
+        """Return the name of the boundary or body, or the point as text."""
         if hasattr(self, "point"):
             return f"point ({', '.join(f'{x:.6g}' for x in self.point)})"
         return getattr(self, "boundary", None) or getattr(self, "body", None) or BODY_FORCE
 
     @property
     def path_name(self) -> str:
-        """The name in load paths: its own, or that of the place."""
+        """Return the name in load paths: its own, or that of the place."""
         return self.name or self.place
 
     @property
     def acts(self) -> bool:
-        """Whether a factor changes anything."""
+        """Return whether a factor changes anything."""
         return any(np.any(getattr(self, name)) for name in self._amounts)
 
     def scaled(self, factor: float) -> Self:
@@ -267,7 +267,7 @@ class Preload(Acting):
 
     @property
     def direction(self) -> int:
-        """The number of the axis."""
+        """Return the number of the axis."""
         return "xyz".index(self.axis)
 
     def shortening(self, dim: int, strain: float = 1.0) -> InitialStrain:

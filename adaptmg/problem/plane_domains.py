@@ -45,17 +45,17 @@ class Domain(checks.Checked):
 
     @property
     def bodies(self) -> tuple[str, ...] | None:
-        """Names of the bodies."""
+        """Return the names of the bodies."""
         return ("body",)
 
     @property
     def lower(self) -> np.ndarray:
-        """Lowest corner (dim,) of a box around the domain, m."""
+        """Return the lowest corner (dim,) of a box around the domain, m."""
         return self._extremes().min(axis=0)
 
     @property
     def upper(self) -> np.ndarray:
-        """Highest corner (dim,) of a box around the domain, m."""
+        """Return the highest corner (dim,) of a box around the domain, m."""
         return self._extremes().max(axis=0)
 
 
@@ -96,7 +96,7 @@ class Rectangle(Domain):
 
     @cached_property
     def outline(self) -> Outline:
-        """The same as an outline."""
+        """Return the same as an outline."""
         (x0, y0), (x1, y1) = self.lower, self.upper
         return Outline(vertices=((x0, y0), (x1, y0), (x1, y1), (x0, y1)), boundaries=self.boundaries)
 
@@ -237,7 +237,7 @@ class Outline(Domain):
 
     @property
     def following(self) -> np.ndarray:
-        """For each vertex (n,) the next one around the outer edge, or around its hole."""
+        """Return for each vertex (n,) the next one around the outer edge, or around its hole."""
         result = np.arange(1, len(self.vertices) + 1)
         for first, last in self._loops():
             result[last - 1] = first
@@ -273,12 +273,12 @@ class Outline(Domain):
 
     @property
     def area(self) -> float:
-        """Exact area, m^2."""
+        """Return the exact area, m^2."""
         return sum(self._areas())
 
     @property
     def lengths(self) -> tuple[float, ...]:
-        """Length of each edge, m."""
+        """Return the length of each edge, m."""
         return tuple(self.edge(i).length for i in range(len(self.vertices)))
 
     def chords(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -293,7 +293,7 @@ class Outline(Domain):
 
     @property
     def outline(self) -> Outline:
-        """Itself: every plane domain offers its outline."""
+        """Return the domain itself: every plane domain offers its outline."""
         return self
 
     def _extremes(self) -> np.ndarray:
@@ -355,12 +355,12 @@ class Circle(Domain):
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Its one name."""
+        """Return its one name."""
         return (self.boundary,)
 
     @property
     def outline(self) -> Outline:
-        """The same as an outline of four arcs, which begins at the right."""
+        """Return the same as an outline of four arcs, which begins at the right."""
         (x, y), r = self.centre, self.radius
         return Outline(vertices=((x + r, y), (x, y + r), (x - r, y), (x, y - r)), boundaries=(self.boundary,) * 4,
                        arcs=dict.fromkeys(range(4), self.centre))

@@ -24,12 +24,12 @@ class Segment:
 
     @property
     def ends(self) -> np.ndarray:
-        """The first and the last point (2, 2), m."""
+        """Return the first and the last point (2, 2), m."""
         return np.stack([self.start, self.end])
 
     @property
     def length(self) -> float:
-        """m."""
+        """Return the length, m."""
         return math.dist(self.start, self.end)
 
     def at(self, fractions: np.ndarray) -> np.ndarray:
@@ -59,17 +59,17 @@ class Arc:
 
     @property
     def ends(self) -> np.ndarray:
-        """The first and the last point (2, 2), m."""
+        """Return the first and the last point (2, 2), m."""
         return self.at(np.array([0.0, 1.0]))
 
     @property
     def length(self) -> float:
-        """m."""
+        """Return the length, m."""
         return self.radius * abs(self.angle)
 
     @property
     def bulge(self) -> float:
-        """Signed area between arc and chord, m^2; positive where the arc lies outside the chord."""
+        """Return the signed area between arc and chord, m^2; positive where the arc lies outside the chord."""
         return 0.5 * self.radius**2 * (self.angle - math.sin(self.angle))
 
     def at(self, fractions: np.ndarray) -> np.ndarray:

@@ -144,7 +144,7 @@ class Revolution(SolidDomain):
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Distinct names, in the order of the edges."""
+        """Return the distinct names, in the order of the edges."""
         r = np.array(self.polygon.vertices)[:, 0]
         swept = (r > _ON_AXIS * r.max()) | (np.roll(r, -1) > _ON_AXIS * r.max())
         names = np.array(self.polygon.boundaries)[swept].tolist()
@@ -191,7 +191,7 @@ class Extrusion(SolidDomain):
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Distinct names, in the order of the edges."""
+        """Return the distinct names, in the order of the edges."""
         return (*dict.fromkeys(self.polygon.boundaries), "bottom", "top")
 
     def _extremes(self) -> np.ndarray:
@@ -234,12 +234,12 @@ class Moved(SolidDomain):
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Those of the solid."""
+        """Return the boundaries of the solid."""
         return self.solid.boundaries
 
     @property
     def rotation(self) -> np.ndarray:
-        """Rodrigues' matrix R (3, 3): the solid's x goes to R x + offset."""
+        """Return Rodrigues' matrix R (3, 3): the solid's x goes to R x + offset."""
         turn, cross = math.radians(self.angle), np.cross(np.eye(3), self.axis)
         return np.eye(3) + math.sin(turn) * cross + (1 - math.cos(turn)) * cross @ cross
 

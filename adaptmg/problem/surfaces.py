@@ -77,7 +77,7 @@ class Plane(checks.Checked):
 
     @property
     def dim(self) -> int:
-        """Space dimension, 2 or 3."""
+        """Return the space dimension, 2 or 3."""
         return self.point.size
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -187,7 +187,7 @@ class Moving(_MovingPart):
 
     @property
     def dim(self) -> int:
-        """Space dimension."""
+        """Return the space dimension."""
         return self.displacement.size
 
     def motion(self, points: np.ndarray) -> np.ndarray:
@@ -286,17 +286,17 @@ class Rigid(_MovingPart):
 
     @property
     def dim(self) -> int:
-        """Space dimension."""
+        """Return the space dimension."""
         return len(self.force)
 
     @property
     def targets(self) -> np.ndarray:
-        """Force and moment (n,), NaN where the motion is prescribed."""
+        """Return the force and moment (n,), NaN where the motion is prescribed."""
         return np.array([*self.force, *self.moment], dtype=np.float64)
 
     @property
     def free(self) -> tuple[int, ...]:
-        """The numbers of the components of force and moment that are prescribed."""
+        """Return the numbers of the components of force and moment that are prescribed."""
         return tuple(np.flatnonzero(~np.isnan(self.targets)).tolist())
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

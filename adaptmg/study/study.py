@@ -65,7 +65,7 @@ class StudyStatus:
 
     @property
     def total(self) -> int:
-        """Runs of the study."""
+        """Return the number of runs of the study."""
         return self.done + self.failed + self.stale + self.missing
 
     def __repr__(self) -> str:
@@ -143,7 +143,7 @@ class Study:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of the parameters that vary."""
+        """Return the names of the parameters that vary."""
         return self.design.names
 
     def points(self) -> list[Point]:
