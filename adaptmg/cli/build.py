@@ -99,7 +99,8 @@ def keys_of(function: Maker) -> dict[str, Key]:
             default = _default_class(name, item, kinds)
             own[name] = Key(" | ".join(map(name_of, kinds)), name_of(default) if default else "")
         elif not kinds:
-            own[name] = Key(str(item.annotation).removesuffix(" | None"), _default(item.default))
+            own[name] = Key(re.sub(r"FieldLike\w*", "float", str(item.annotation)).removesuffix(" | None"),
+                            _default(item.default))
         for kind in kinds:
             for key, value in keys_of(kind).items():
                 if type(item.default) is kind and hasattr(item.default, key):

@@ -78,7 +78,7 @@ def summary(result: am.Result, files: list[Path]) -> dict[str, object]:
     row = {"problem": result.problem_name, "solver": result.method, "status": result.status.name,
            "advice": result.status.value, **{name: getattr(result, name) for name in names},
            "contact": dict(zip(("open", "slip", "stick"), states, strict=True)),
-           "max_pressure": float(result.contact.pressure.max()),
+           "max_pressure": result.max_pressure,
            "max_displacement": float(np.linalg.norm(result.displacement, axis=1).max()),
            "versions": result.versions, "files": [str(file) for file in files]}
     return finite(row)
