@@ -131,8 +131,10 @@ class DiscreteProblem(Unknowns):
         ``weights`` W (n_nodes, n_nodes), sparse, have in the rows of slave nodes the nodes that they face, with row
         sums 1. ``contact`` are the slave nodes; their gaps and slips are relative. ``near_nullspace`` should hold the
         rigid-body modes of every body (one column a body and mode); with ``coordinates`` alone the bodies move
-        together in it.
+        together in it. ValueError if this problem has a coupling or inclined supports already.
         """
+        if self.coupling is not None or self.inclined is not None:
+            raise ValueError("only a problem in displacements can be coupled, this one has a coupling or inclined supports")
         weights = sparse.csr_array(checks.sparse_matrix("weights", weights, (self.n_nodes,) * 2), dtype=np.float64)
         _check_row_sums(weights)
         return self.assembled(weights, **{one.name: self.__dict__[one.name] for one in fields(self)})

@@ -167,6 +167,7 @@ class TestCoupled:
         (lambda: am.ContactNodes(nodes=np.array([3]), normals=[[0.0, 1.0]], gaps=[0.1], masters=("a", "b")),
          "masters must go with names"),
         (lambda: TestCoupled().coupled(fixed=(7,)), r"normal part is fixed at contact node 0 \(node 3.*free the comp"),
+        (lambda: TestCoupled().coupled().coupled(sparse.csr_array((6, 6))), "only a problem in displacements"),
         (lambda: TestCoupled().coupled((0.5, 0.4)), "sum 1, got 0.9 at node 3"),
         (lambda: TestCoupled().coupled((0.5, np.nan)), "weights must be finite"),
         *((lambda rows=rows, columns=columns, n=n: Coupling(
