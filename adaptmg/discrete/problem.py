@@ -134,7 +134,7 @@ class DiscreteProblem(Unknowns):
         together in it. ValueError if this problem has a coupling or inclined supports already.
         """
         if self.coupling is not None or self.inclined is not None:
-            raise ValueError("only a problem in displacements can be coupled, this one has a coupling or inclined supports")
+            raise ValueError("only a problem in displacements can be coupled, not with coupling or inclined supports")
         weights = sparse.csr_array(checks.sparse_matrix("weights", weights, (self.n_nodes,) * 2), dtype=np.float64)
         _check_row_sums(weights)
         return self.assembled(weights, **{one.name: self.__dict__[one.name] for one in fields(self)})
