@@ -255,7 +255,7 @@ class Surface:
 
     @cached_property
     def node_normals(self) -> np.ndarray:
-        """Return the mean unit normals (n_nodes, dim), 0 at other nodes; ValueError where the facets at a node cancel."""
+        """Return the mean unit normals (n_nodes, dim), 0 at other nodes; ValueError where facets at a node cancel."""
         total, measure, nodes = np.zeros(self.points.shape), np.zeros(len(self.points)), self.nodes
         for corner in self.facets.T:
             np.add.at(total, corner, self.vectors)
