@@ -33,14 +33,14 @@ def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
     if (type(array) is np.ndarray and array.dtype == dtype and array.base is None and array.flags.c_contiguous
             and not array.flags.writeable):
         return array
-    given = np.asarray(array)
-    whole = name in _LABELS and (given.dtype.kind == "b" or (given.dtype.kind == "f" and (given == given // 1).all()))
-    if given.dtype.kind not in ("iuf" if dtype is np.float64 else "iu") and given.size and not whole:
+    data = np.asarray(array)
+    whole = name in _LABELS and (data.dtype.kind == "b" or (data.dtype.kind == "f" and (data == data // 1).all()))
+    if data.dtype.kind not in ("iuf" if dtype is np.float64 else "iu") and data.size and not whole:
         what = "real numbers" if dtype is np.float64 else "integers"
-        raise TypeError(f"{name} must be an array of {what}, got an array of {given.dtype}")
-    if dtype is np.int32 and given.size and not (given.min() >= -2**31 and given.max() < 2**31):
-        raise ValueError(f"{name} must be below 2**31, got {given.min()} to {given.max()}")
-    result = np.array(given, dtype=dtype, order="C")
+        raise TypeError(f"{name} must be an array of {what}, got an array of {data.dtype}")
+    if dtype is np.int32 and data.size and not (data.min() >= -2**31 and data.max() < 2**31):
+        raise ValueError(f"{name} must be below 2**31, got {data.min()} to {data.max()}")
+    result = np.array(data, dtype=dtype, order="C")
     result.flags.writeable = False
     return result
 

@@ -36,7 +36,7 @@ def of_boundary(places: np.ndarray, edges: np.ndarray, spread: bool) -> tuple[np
     elements, across = np.empty((2 * n + 2, 3), dtype=np.int32), np.full((2 * n + 2, 3), -1, dtype=np.int32)
     elements[:2] = [[n, n + 1, n + 2], [n, n + 2, n + 3]]
     across[0, 1], across[1, 2] = 1, 0
-    found = np.zeros(len(edges), dtype=bool)
+    present = np.zeros(len(edges), dtype=bool)
     points, count, e = np.concatenate([places, corners]), 2, 0
     order = np.arange(n)
     if spread:
@@ -53,12 +53,12 @@ def of_boundary(places: np.ndarray, edges: np.ndarray, spread: bool) -> tuple[np
     for begin in range(0, len(edges), BATCH):
         _force(points, elements, across, start, tails, heads, begin, min(len(edges), begin + BATCH), at, missing)
     if missing.any():
-        found[rows] = ~missing
-        return elements, across, found
-    elements, across, found[rows] = _inside(elements[:count], across[:count], n + 4, tails, heads)
+        present[rows] = ~missing
+        return elements, across, present
+    elements, across, present[rows] = _inside(elements[:count], across[:count], n + 4, tails, heads)
     while swap_all(points, elements, across):  # as long as any edge that was swapped for others is not Delaunay
         pass
-    return elements, across, found
+    return elements, across, present
 
 
 def _inside(elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.ndarray, heads: np.ndarray
@@ -69,8 +69,8 @@ def _inside(elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.nd
     order = np.argsort(edges)
     row = order[np.minimum(np.searchsorted(edges, keys, sorter=order), len(edges) - 1)]
     along, against = edges[row] == keys
-    found = np.zeros(len(edges), dtype=bool)
-    found[row[0, along]] = True
+    present = np.zeros(len(edges), dtype=bool)
+    present[row[0, along]] = True
     across = np.where(along | against, -1, across)
     joined = across >= 0
     starts = np.append(0, np.cumsum(joined.sum(axis=1)))
@@ -80,7 +80,7 @@ def _inside(elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.nd
     inside[part[along.any(axis=1)]] = True
     inside = inside[part]
     number = np.append(np.cumsum(inside) - 1, -1).astype(np.int32)
-    return elements[inside], number[across[inside]], found
+    return elements[inside], number[across[inside]], present
 
 
 @inner_kernel

@@ -105,11 +105,11 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     domain = in_edges(domain)
     names = checks.items("contact_boundaries", contact_boundaries, str, "names of boundaries")
     parts = parts_of(domain)
-    known = [f"{body}.{name}" for body, part in parts.items() for name in part.boundaries] or domain.boundaries
+    choices = [f"{body}.{name}" for body, part in parts.items() for name in part.boundaries] or domain.boundaries
     for name in names:
-        if name not in known:
+        if name not in choices:
             raise ValueError(f"contact_boundaries: boundary {name!r} does not exist; "
-                             f"the boundaries are {', '.join(dict.fromkeys(known))}")
+                             f"the boundaries are {', '.join(dict.fromkeys(choices))}")
     if parts:
         sizes, ratios, gradings = (per_body(what, value, list(parts)) for what, value in (
             ("size", size), ("contact_ratio", contact_ratio), ("grading", grading)))
@@ -227,7 +227,7 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
         return solid_mesh(domain, SolidSizes(max_size, grading=grading, function=size_function), mesher)
 
-    def wanted(x: np.ndarray) -> np.ndarray:
+    def limited(x: np.ndarray) -> np.ndarray:
         return np.minimum(sizes_at(size_function, x), max_size)
 
     if mesher == "own":
@@ -236,10 +236,10 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
             # a look at the field shows whether it asks for too much
             look = max(max_size, float((domain.upper - domain.lower).max()) / 16)
             if (coarse := _own(domain, lambda x: np.full(len(x), look))) is not None:
-                refuse_too_many(expected_nodes(coarse, too_large(coarse, wanted)[1]), domain)
-        if (mesh := _own(domain, wanted, grading)) is not None:
+                refuse_too_many(expected_nodes(coarse, too_large(coarse, limited)[1]), domain)
+        if (mesh := _own(domain, limited, grading)) is not None:
             return mesh
-    return plane_mesh(domain, wanted, max_size, None, (), grading, 2)
+    return plane_mesh(domain, limited, max_size, None, (), grading, 2)
 
 
 def gradings_of(sizes: Sequence[float | Mapping[str, float]], coarsest: float) -> list[float | dict[str, float]]:
@@ -268,9 +268,9 @@ def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
     """Return the area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of each boundary."""
     domain = in_edges(domain)
     if parts := parts_of(domain):
-        found = {body: measures(part) for body, part in parts.items()}
-        return ([volume for volumes, _ in found.values() for volume in volumes],
-                {f"{body}.{name}": length for body, (_, lengths) in found.items() for name, length in lengths.items()})
+        apart = {body: measures(part) for body, part in parts.items()}
+        return ([volume for volumes, _ in apart.values() for volume in volumes],
+                {f"{body}.{name}": length for body, (_, lengths) in apart.items() for name, length in lengths.items()})
     if domain.dim == 2:
         area, lengths = boundary_measures(domain)
         return [area], lengths

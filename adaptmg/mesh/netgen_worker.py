@@ -213,10 +213,10 @@ def _name_products(node: occ.OCCAssemblyNode, label: str, uses: dict[str, list[t
     """Names of the products of the leaves below a node. Netgen says the names of instances, the file of what."""
     below = list(uses.get(label, ())) if label else [(name, name) for name in uses]
     for child in node.children:
-        found = next((pair for pair in below if pair[0] == child.name), (child.name, child.name))
-        if found in below:
-            below.remove(found)
-        _name_products(child, found[1], uses, products)
+        entry = next((pair for pair in below if pair[0] == child.name), (child.name, child.name))
+        if entry in below:
+            below.remove(entry)
+        _name_products(child, entry[1], uses, products)
     if not node.is_assembly and node.shape is not None and len(node.shape.solids) == 1:
         products[node.shape.solids[0]] = label
 

@@ -60,8 +60,8 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     n_old = checks.integer("n_old", n_old, 0, mesh.n_nodes)
     if mesh.refinement is None:
         raise ValueError("mesh has no history: onto_domain moves the nodes that adaptmg.mesh.bisect made")
-    names = {name: found for name, found in _curved_boundaries(domain).items() if name in mesh.boundaries}
-    sides = [(*found, *_new_nodes(mesh, name, n_old)) for name, found in names.items()]
+    names = {name: curves for name, curves in _curved_boundaries(domain).items() if name in mesh.boundaries}
+    sides = [(*curves, *_new_nodes(mesh, name, n_old)) for name, curves in names.items()]
     if not any(len(nodes) for _, _, nodes, _ in sides):
         return mesh
     depth = _depth(mesh.refinement.parents, n_old)
@@ -134,8 +134,8 @@ _PLANE = 1e-9
 def _curved_boundaries(domain: Domain | None) -> dict[str, tuple[Domain, str]]:
     """The boundaries that may be curved: their part of the domain, and its own name."""
     if isinstance(domain, Assembly):
-        return {f"{body}.{name}": found for body, part in domain.parts.items()
-                for name, found in _curved_boundaries(part).items()}
+        return {f"{body}.{name}": curves for body, part in domain.parts.items()
+                for name, curves in _curved_boundaries(part).items()}
     if domain is None:
         return {}
     domain = in_edges(domain)

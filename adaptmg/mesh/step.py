@@ -263,8 +263,8 @@ def _faces_of(worker: Netgen, solids: Mapping[str, StepSolid]) -> Iterator[tuple
 
 def _face(shape: Shape, number: int, name: str, triangles: np.ndarray) -> _Face:
     kind, radius = "other", np.nan
-    if found := candidates(shape.samples[number:number + 1]):
-        surface = found[0][0]
+    if surfaces := candidates(shape.samples[number:number + 1]):
+        surface = surfaces[0][0]
         kind = "cone or torus"
         if surface.straight and not surface.profile[0]:
             kind = "plane"

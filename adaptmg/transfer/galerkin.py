@@ -86,21 +86,21 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
                   ) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
     """Check prolongations against a matrix and form the Galerkin matrices."""
     listed = checks.listed("prolongations", prolongations, "scipy sparse matrices, coarse to fine")
-    given = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(listed)]
-    if not given:
+    checked = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(listed)]
+    if not checked:
         raise ValueError("prolongations is empty: give at least one, or use Hierarchy.single")
     dim, n = matrix.blocksize[0], matrix.shape[0]
-    if given[-1].shape[0] not in (n, n // dim):
-        raise ValueError(f"prolongations[{len(given) - 1}] must have {n // dim} rows (nodes) or {n} (dofs), got "
-                         f"{given[-1].shape[0]}")
-    of_dofs = given[-1].shape[0] == n
+    if checked[-1].shape[0] not in (n, n // dim):
+        raise ValueError(f"prolongations[{len(checked) - 1}] must have {n // dim} rows (nodes) or {n} (dofs), got "
+                         f"{checked[-1].shape[0]}")
+    of_dofs = checked[-1].shape[0] == n
     current = without_fixed(matrix, fixed)
     if of_dofs:
         current = sparse.bsr_array(sparse.csr_array(current), blocksize=(1, 1))
     matrices: list[sparse.bsr_array] = []
-    rows, finer = given[-1].shape[0], None
-    for k in range(len(given) - 1, -1, -1):
-        P = given[k]
+    rows, finer = checked[-1].shape[0], None
+    for k in range(len(checked) - 1, -1, -1):
+        P = checked[k]
         if P.shape[0] != rows or not 0 < P.shape[1] < rows:
             raise ValueError(f"prolongations[{k}] must have {rows} rows and fewer columns, one at least, got "
                              f"{P.shape}: they go from coarse to fine")
@@ -108,7 +108,7 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
         finer = seen(P, finer)
         current = galerkin_product(current, finer)
         matrices.insert(0, current)
-    return given, matrices
+    return checked, matrices
 
 
 def without_fixed(matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = True) -> sparse.bsr_array:

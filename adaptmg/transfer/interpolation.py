@@ -174,11 +174,11 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
     return _rows(columns, weights, weights >= CLIP, coarse.n_nodes)
 
 
-def _rows(columns: np.ndarray, weights: np.ndarray, kept: np.ndarray, n_columns: int) -> sparse.csr_array:
-    """Sparse rows of those of a fixed number of weights each that are kept."""
-    entries = np.flatnonzero(kept)
-    indptr = np.append(0, np.cumsum(kept)[kept.shape[1] - 1::kept.shape[1]]).astype(np.int32)
-    return sparse.csr_array((weights.take(entries), columns.take(entries), indptr), shape=(len(kept), n_columns))
+def _rows(columns: np.ndarray, weights: np.ndarray, stored: np.ndarray, n_columns: int) -> sparse.csr_array:
+    """Sparse rows of those of a fixed number of weights each that are stored."""
+    entries = np.flatnonzero(stored)
+    indptr = np.append(0, np.cumsum(stored)[stored.shape[1] - 1::stored.shape[1]]).astype(np.int32)
+    return sparse.csr_array((weights.take(entries), columns.take(entries), indptr), shape=(len(stored), n_columns))
 
 
 CLIP = 1e-10
