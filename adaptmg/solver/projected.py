@@ -118,7 +118,6 @@ class ProjectedRun:
                                         lambda rtol: self.run.shortfall(local.to_cartesian(unknowns), rtol))
         return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, self.rtol, stop.error_estimate, stop.rate)
 
-
     def _cycles(self, multigrid: MultigridCycle, level: int, unknowns: np.ndarray, run: Run | None = None) -> Smoothing:
         """Cycles, measured after the first smoothing, where the cycle has its residual."""
         local = self.problems[level]
