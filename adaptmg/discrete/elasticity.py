@@ -109,8 +109,8 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
         at_points = 2 * np.pi * measures[:, None] * (weights / (radii @ rule.T))
         spread = (at_points @ (rule[:, :, None] * rule[:, None]).reshape(len(rule), -1)).reshape(-1, corners)
         hoops, measures = np.repeat(1 / (3 * mean), corners), 2 * np.pi * mean * measures
-    return _Patches(np.arange(0, slopes.size // dim + 1, corners), mesh.elements.reshape(-1), slopes.reshape(-1, dim),
-                    hoops, measures, slice(None), spread)
+    return _Patches(starts_of(mesh.elements), mesh.elements.reshape(-1), slopes.reshape(-1, dim), hoops,
+                    measures, slice(None), spread)
 
 
 def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
@@ -125,7 +125,7 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
                                    shape=(n, blocks.shape[2] * mesh.n_nodes))
     sums, volumes = sparse.bsr_array(edges, blocksize=(1, 1)) @ of_elements, edges @ measures
     means = sums.data[:, 0] / np.repeat(volumes, np.diff(sums.indptr))[:, None]
-    return _Patches(sums.indptr.astype(np.int64), read_only(sums.indices), np.ascontiguousarray(means[:, :dim]),
+    return _Patches(sums.indptr, read_only(sums.indices), np.ascontiguousarray(means[:, :dim]),
                     np.ascontiguousarray(means[:, dim:].reshape(-1)), volumes / len(_EDGES[dim]),
                     edges.indices[edges.indptr[:-1]], np.empty((0, 0)))
 
@@ -174,7 +174,12 @@ def patches_of_nodes(start: np.ndarray, nodes: np.ndarray, n_nodes: int) -> spar
 
 def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> sparse.csc_array:
     """Return the elements of each node (n_elements, n_nodes), ascending."""
-    return patches_of_nodes(np.arange(0, elements.size + 1, elements.shape[1]), elements.reshape(-1), n_nodes)
+    return patches_of_nodes(starts_of(elements), elements.reshape(-1), n_nodes)
+
+
+def starts_of(elements: np.ndarray) -> np.ndarray:
+    """Return where each element's corners begin among those of all, and the end."""
+    return np.arange(0, elements.size + 1, elements.shape[1], dtype=np.int32 if elements.size < 2**31 else np.int64)
 
 
 def pattern(of_nodes: sparse.csc_array, start: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -208,22 +213,24 @@ def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
 def _find_neighbours(first, last, start, listed, begin, nodes, indptr, indices):
     """Find the columns of the pattern, ascending: nodes that share a patch, each node with itself. Without ``indices``
     how many there are, to ``indptr[1:]``, which comes back summed up with them."""
-    marker = np.full(len(start) - 1, -1, dtype=np.int32)
+    # unsigned: numba asks of all others whether they count from the end, which takes half of the time
+    marker, one = np.full(len(start) - 1, -1, dtype=np.int32), np.uint64(1)
     for i in range(first, last):
-        count, row = 0, indptr[i]
+        count, row = np.uint64(0), np.uint64(indptr[i])
         for at in range(start[i], start[i + 1]):
-            for p in range(begin[listed[at]], begin[listed[at] + 1]):
-                v = nodes[p]
+            e = np.uint64(listed[at])
+            for p in range(np.uint64(begin[e]), np.uint64(begin[e + one])):
+                v = np.uint64(nodes[p])
                 if marker[v] != i:
                     marker[v] = i
                     if len(indices):
                         # few are out of order
                         k = row + count
-                        while k > row and indices[k - 1] > v:  # one further down each time
-                            indices[k] = indices[k - 1]
-                            k -= 1
-                        indices[k] = v
-                    count += 1
+                        while k > row and indices[k - one] > nodes[p]:  # one further down each time
+                            indices[k] = indices[k - one]
+                            k -= one
+                        indices[k] = nodes[p]
+                    count += one
         if not len(indices):
             indptr[i + 1] = count
 
@@ -265,17 +272,18 @@ def _shape_gradients(first, last, zero, points, elements, slopes, measures):
 def _add_patches(first, last, zero, start, patches, begin, nodes, slopes, hoops, spread, measures, rows, table, indptr,
                  indices, data):
     """Write the upper half of rows: node i is in ``patches[start[i]:start[i + 1]]``."""
-    dim, slot, stress = len(zero), np.empty(len(indptr) - 1, dtype=np.int64), np.empty((2 * len(zero), len(zero)))
+    dim, one, stress = len(zero), np.uint64(1), np.empty((2 * len(zero), len(zero)))
+    slot = np.empty(len(indptr) - 1, dtype=np.int64)
     for i in range(first, last):
         for at in range(indptr[i], indptr[i + 1]):
             slot[indices[at]] = at
         data[slot[i]:indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
-            e = patches[k]
-            p = begin[e]
+            e = np.uint64(patches[k])
+            p, end = np.uint64(begin[e]), np.uint64(begin[e + one])
             while nodes[p] != i:  # the patch has the node
-                p += 1
-            own, x, y = rows[e], measures[e] * slopes[p, 0], measures[e] * slopes[p, 1]
+                p += one
+            own, x, y = np.uint64(rows[e]), measures[e] * slopes[p, 0], measures[e] * slopes[p, 1]
             z = measures[e] * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
             for c in range(2 * dim):
                 if len(zero) == 3:
@@ -285,10 +293,10 @@ def _add_patches(first, last, zero, start, patches, begin, nodes, slopes, hoops,
                 else:
                     stress[c, 0] = table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 2] * z
                     stress[c, 1] = table[own, c, 3] * x + table[own, c, 1] * y
-            for q in range(begin[e], begin[e + 1]):
+            for q in range(np.uint64(begin[e]), end):
                 if nodes[q] < i:
                     continue
-                at, u, v = slot[nodes[q]], slopes[q, 0], slopes[q, 1]
+                at, u, v = np.uint64(slot[np.uint64(nodes[q])]), slopes[q, 0], slopes[q, 1]
                 w = slopes[q, 2] if len(zero) == 3 else hoops[q] if len(hoops) else 0.0
                 for a in range(dim):  # one addition each, for the sake of rounding
                     if len(zero) == 3:
@@ -299,7 +307,7 @@ def _add_patches(first, last, zero, start, patches, begin, nodes, slopes, hoops,
                         data[at, a, 0] += stress[0, a] * u + stress[3, a] * v + stress[2, a] * w
                         data[at, a, 1] += stress[3, a] * u + stress[1, a] * v
                 if len(spread):
-                    data[at, 0, 0] += table[own, 2, 2] * spread[p, q - begin[e]]
+                    data[at, 0, 0] += table[own, 2, 2] * spread[p, q - np.uint64(begin[e])]
 
 
 @kernel
@@ -307,9 +315,10 @@ def _mirror(zero, indptr, indices, data):
     """Write the lower half of rows, diagonal blocks included: the transposes of the upper one."""
     place = indptr.copy()  # the next block of each row: those before the diagonal come in the order of their columns
     for i in range(len(indptr) - 1):
-        for at in range(place[i], indptr[i + 1]):
-            other = place[indices[at]]
-            place[indices[at]] += 1
+        for at in range(np.uint64(place[i]), np.uint64(indptr[i + 1])):
+            column = np.uint64(indices[at])
+            other = np.uint64(place[column])
+            place[column] += 1
             for k in range(len(zero)):
                 for m in range(k if other == at else len(zero)):
                     data[other, k, m] = data[at, m, k]

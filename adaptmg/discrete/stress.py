@@ -30,7 +30,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from adaptmg.discrete.elasticity import apart, element_measures, elements_of_nodes, pattern, shape_gradients, smoothed
+from adaptmg.discrete.elasticity import (
+    apart,
+    element_measures,
+    elements_of_nodes,
+    pattern,
+    shape_gradients,
+    smoothed,
+    starts_of,
+)
 from adaptmg.discrete.loads import body_elements, mean_initial_strain
 from adaptmg.discrete.moduli import (
     EDGE_PART,
@@ -249,7 +257,7 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     centroids = sum(mesh.points.take(nodes, axis=0) for nodes in mesh.elements.T) / corners
     of_nodes = elements_of_nodes(cells, len(points))
     around = sparse.csr_array((np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=of_nodes.shape[::-1])
-    indptr, _ = pattern(of_nodes, corners * np.arange(len(cells) + 1), cells.reshape(-1))
+    indptr, _ = pattern(of_nodes, starts_of(cells), cells.reshape(-1))
     # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2); else there are more
     others, count = np.diff(indptr) - 1, np.diff(around.indptr)
     inner = np.flatnonzero(others == count if corners == 3 else 2 * others == count + 4)

@@ -26,7 +26,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._numba import kernel, read_only
-from adaptmg.discrete.elasticity import apart, element_measures, elements_of_nodes, pattern, shape_gradients
+from adaptmg.discrete.elasticity import apart, element_measures, elements_of_nodes, pattern, shape_gradients, starts_of
 from adaptmg.discrete.moduli import EDGE_PART, Materials, body_materials, is_axisymmetric, lame_constants
 from adaptmg.geometry.search import morton_order
 from adaptmg.mesh.arrays import MeshArrays
@@ -122,7 +122,7 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     cells = rank[cells.reshape(elements.shape)]
     node, body_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     node[cells], body_of[cells] = elements, body[:, None]
-    ends, group = (dim + 1) * np.arange(len(cells) + 1), np.full(n, -1, dtype=np.int32)
+    ends, group = starts_of(cells), np.full(n, -1, dtype=np.int32)
     count = _gather(*pattern(elements_of_nodes(cells, n), ends, read_only(cells.reshape(-1))), GROUP[dim], group)
     slopes, part = (every[soft] for every in shape_gradients(mesh))
     if is_axisymmetric(materials):
