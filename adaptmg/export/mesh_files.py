@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import io
 import os
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -150,7 +149,7 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         With meshes, one a step.
     path : path
         The ``.pvd`` file, which is returned. Its folder is made where it is missing. The steps lie next to it
-        (``run_0000.vtu``, ...), in place of those that it lists, but of no other files. It is written last.
+        (``run_0000.vtu``, ...), in place of all that it listed, but of no other files. It is written last.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ...
 
@@ -172,10 +171,11 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
     target = checks.file_path("path", path)
     if target.suffix != ".pvd":
         raise ValueError(f"path must end in .pvd, got {os.fspath(path)!r}")
-    names = [f"{target.stem}_{k:04d}.vtu" for k in range(len(results))]
-    old = re.findall(' file="([^"]*)"', read_bytes(target).decode("utf-8", "replace")) if target.exists() else ()
+    old = read_bytes(target).decode("utf-8", "replace") if target.exists() else ""
+    steps = [f"{target.stem}_{k:04d}.vtu" for k in range(max(len(results), old.count("<DataSet")))]
+    names, listed = steps[:len(results)], [name for name in steps if f" file={quoteattr(printable(name))}/" in old]
     for name in names:
-        if os.path.lexists(target.parent / name) and name not in old:
+        if os.path.lexists(target.parent / name) and name not in listed:
             raise FileExistsError(f"path: {str(target.parent / name)!r} is not a step of an older series: move it, or "
                                   "give another name")
     make_folder("path", target.parent)
@@ -185,6 +185,8 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         for name in names:
             os.replace(waiting / name, target.parent / name)
     write_bytes(target, _collection(names, times))
+    for name in set(listed).difference(names):
+        (target.parent / name).unlink(missing_ok=True)
     return target
 
 

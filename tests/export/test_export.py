@@ -71,14 +71,14 @@ def _steps(count: int) -> list:
 
 
 def test_a_series_lists_every_step_and_replaces_an_older_one(tmp_path):
-    for steps, times in ((_steps(3), (0.5, 1.0, 4.0)), (_steps(4)[2:], None)):
-        pvd = vtk_series(steps, tmp_path / "deep" / "down" / "run.pvd", times)
+    for steps, times in ((_steps(3), (0.5, 1.0, 4.0)), (_steps(4)[2:], None), (_steps(3), (1.0, 2.0, 3.0))):
+        pvd = vtk_series(steps, tmp_path / "deep" / "down" / "a&b.pvd", times)
         listed = [(float(entry.get("timestep")), entry.get("file")) for entry in ElementTree.parse(pvd).iter("DataSet")]
         assert [time for time, _ in listed] == list(times or (0.0, 1.0))
         for (_, name), step in zip(listed, steps, strict=True):
             read = meshio.read(pvd.parent / name)
             np.testing.assert_array_equal(read.point_data["displacement"][:, :2], step.displacement)
-    assert {p.name for p in pvd.parent.iterdir()} == {"run.pvd", *(f"run_000{k}.vtu" for k in range(3))}
+        assert {p.name for p in pvd.parent.iterdir()} == {"a&b.pvd", *(name for _, name in listed)}
 
 
 def test_a_series_replaces_no_file_that_is_not_of_an_older_one(tmp_path):
