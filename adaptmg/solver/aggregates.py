@@ -30,7 +30,7 @@ from scipy.sparse.linalg import splu
 from adaptmg._numba import kernel
 from adaptmg.discrete.coordinates import frames_of, from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.smoother.blocks import ZERO, in_loop, increase, inner, read, scale, times
+from adaptmg.smoother.blocks import ONE, ZERO, in_loop, increase, inner, read, scale, times
 from adaptmg.smoother.interior_point import Conditions, dense_factors, interior_point
 
 #: nodes of an aggregate and its depth in the graph, by dimension
@@ -154,23 +154,23 @@ aggregates_of = remembered_of_structure(Aggregates)
 def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, band):
     """Add the lower half of B'AB to ``band`` (n_coarse, width), column by column. ``forces`` (modes * dim,) comes as 0:
     what the matrix makes there of the motions of one aggregate, until the next one comes."""
-    dim = np.uint64(len(zero))
-    modes = len(forces) // len(zero)
+    dim, modes = np.uint64(len(zero)), np.uint64(3 * len(zero) - 3)
     for i in range(len(indptr) - 1):
         if starts[i] == starts[i + 1]:
             continue
         own = last = place[label[starts[i]]]
-        for p in range(indptr[i], indptr[i + 1]):
-            at = starts[indices[p]]
-            other = place[label[at]] if at < starts[indices[p] + 1] else own + 1
+        for p in range(np.uint64(indptr[i]), np.uint64(indptr[i + 1])):
+            j = np.uint64(indices[p])
+            at = np.uint64(starts[j])
+            other = place[np.uint64(label[at])] if at < starts[j + ONE] else own + 1
             if other > own:
                 continue
             if other != last:
                 _project(starts[i], motions, own, last, zero, forces, band)
                 last = other
             for q in range(modes):
-                v = read(motions, dim * np.uint64(modes * at + q), zero)
-                increase(forces, dim * np.uint64(q), times(data, dim * dim * np.uint64(p), v))
+                v = read(motions, dim * (modes * at + q), zero)
+                increase(forces, dim * q, times(data, dim * dim * p, v))
         _project(starts[i], motions, own, last, zero, forces, band)
 
 
