@@ -50,6 +50,18 @@ def test_agrees_with_brute_force(seed, dim, n):
             np.testing.assert_allclose(weights @ mesh.points[mesh.elements[element]], nearest, atol=1e-9)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_points_of_the_boundary_lie_inside(dim):
+    mesh, rng = random_box(60, dim, 3), np.random.default_rng(0)
+    # turned about an axis and moved, so that coordinates on a side are rounded
+    axes = np.eye(dim)
+    axes[:2, :2] = [[0.8, 0.6], [-0.6, 0.8]]
+    points = mesh.points @ axes + 100.0
+    shares = rng.dirichlet(np.ones(dim), (20, len(mesh.facets)))
+    places = np.einsum("nfk,fkd->nfd", shares, points[mesh.facets]).reshape(-1, dim)
+    assert (PointLocator(mesh_of(points, mesh.elements)).locate(places).distance == 0).all()
+
+
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]))
 def test_outside_a_shape_that_is_not_convex(seed, dim):
