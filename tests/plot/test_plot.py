@@ -270,6 +270,10 @@ def test_adaptation_draws_meshes_states_indicator_and_errors():
     (bar,) = [ax for ax in figure.axes if ax.get_label() == "<colorbar>"]
     low, high = bar.get_ylim()
     assert high == pytest.approx(np.sqrt(steps[-1].estimate.squares).max()) and low >= 1e-4 * high * 0.99
+    # the rate of smooth solutions, of a goal twice that of the energy norm
+    goal = am.adapt(am.cases.greco_bar(), 20e-3, indicator=am.Goal(am.ContactForce("bottom", "x")), max_nodes=60)
+    for each, power in ((steps, "-1/2"), (list(goal), "-1")):
+        assert f"nodes$^{{{power}}}$" in words(plot.adaptation(each))
 
 
 def test_load_history_draws_quantities_and_pressures():
