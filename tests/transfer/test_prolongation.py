@@ -77,7 +77,8 @@ LONGER = replace(PLATE, width=0.31)  # by less than what may lie outside
 
 @pytest.mark.parametrize(("domain", "coarse", "fine"), [
     (PLATE, 3, 6), ((PLATE, LONGER), 3, 6), (PLATE, (3, 5), (4, 7)), (PLATE, 7, 3), (BLOCK, 2, 4),
-    (BLOCK, (2, 3, 1), (3, 4, 2)), (ON_PLATE, {"plate": 2, "below": 3, "side": 2}, {"plate": 4, "below": 5, "side": 3})])
+    (BLOCK, (2, 3, 1), (3, 4, 2)),
+    (ON_PLATE, {"plate": 2, "below": 3, "side": 2}, {"plate": 4, "below": 5, "side": 3})])
 def test_structured_meshes_are_interpolated_as_by_search(domain, coarse, fine):
     domains = domain if isinstance(domain, tuple) else (domain, domain)
     meshes = [structured_mesh(own, divisions) for own, divisions in zip(domains, (coarse, fine), strict=True)]
