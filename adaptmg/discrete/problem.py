@@ -327,7 +327,7 @@ DiscreteProblem.near_nullspace = made_on_demand("near_nullspace", "Rigid-body mo
 def diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
     """Return the diagonal blocks (n_nodes, dim, dim) of a matrix, which has them all."""
     numbers, n = np.arange(len(matrix.indices), dtype=np.int32), len(matrix.indptr) - 1
-    return matrix.data[sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal()]
+    return matrix.data.take(sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal(), axis=0)
 
 
 @remembered_of_structure
