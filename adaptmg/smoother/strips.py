@@ -34,13 +34,13 @@ def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
 
 @kernel
 def _multiply(first, last, zero, indptr, indices, data, v, result):
-    dim = len(zero)
-    for i in range(first, last):
+    dim = np.uint64(len(zero))
+    for i in range(np.uint64(first), np.uint64(last)):
         for a in range(dim):
             total = 0.0
-            for k in range(indptr[i], indptr[i + 1]):
+            for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + np.uint64(1)])):
                 for b in range(dim):
-                    total += data[dim * (dim * k + a) + b] * v[dim * indices[k] + b]
+                    total += data[dim * (dim * k + a) + b] * v[dim * np.uint64(indices[k]) + b]
             result[dim * i + a] = total
 
 
