@@ -392,8 +392,8 @@ def _field_checks(kind: type) -> list[tuple[str, Callable[[str, object], object]
     result = []
     for name, hint in get_type_hints(own, include_extras=True).items():
         choices = (hint, *get_args(hint))
-        found = [check for one in choices for check in getattr(one, "__metadata__", ()) if callable(check)]
-        result += [(name, check, type(None) in choices) for check in found]
+        own_checks = [check for one in choices for check in getattr(one, "__metadata__", ()) if callable(check)]
+        result += [(name, check, type(None) in choices) for check in own_checks]
     return result
 
 

@@ -106,34 +106,34 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, held: HeldNodes, excl
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
         surfaces = Surfaces(slave, master, slave_normals(slave, held), excluded, axisymmetric)
-        found = _coupled(pair, surfaces)
+        interface = _coupled(pair, surfaces)
         # slave nodes of which the master covers too little
-        hanging = found.nodes[found.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[found.nodes]]
-        if 0 < len(hanging) < len(found) and pair.coupling == "mortar":
-            found = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
+        hanging = interface.nodes[interface.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[interface.nodes]]
+        if 0 < len(hanging) < len(interface) and pair.coupling == "mortar":
+            interface = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
         raise ValueError(f"{what}: {error}") from error
-    gaps = found.gaps.copy()
+    gaps = interface.gaps.copy()
     if pair.gap is not None:
-        gaps = checks.field(f"gap of {what}", pair.gap, mesh.points[found.nodes])
+        gaps = checks.field(f"gap of {what}", pair.gap, mesh.points[interface.nodes])
         # a row that slave nodes without a multiplier take part in measures their gaps with its own
-        silent = np.setdiff1d(slave.nodes, found.nodes)
+        silent = np.setdiff1d(slave.nodes, interface.nodes)
         if len(silent):
-            gaps = gaps - found.coupling[:, silent] @ checks.field(f"gap of {what}", pair.gap, mesh.points[silent])
+            gaps = gaps - interface.coupling[:, silent] @ checks.field(f"gap of {what}", pair.gap, mesh.points[silent])
     if not pair.allow_interference:
         tolerance = np.full(len(gaps), _ROUNDING * surfaces.size)
         if pair.gap is None:
-            tolerance += _facet_heights(slave)[found.nodes] + _facet_heights(master).max()
+            tolerance += _facet_heights(slave)[interface.nodes] + _facet_heights(master).max()
             # the surfaces themselves must overlap, and not only a mean of their distance with weights of both signs
-            tolerance[found.closest >= -tolerance] = np.inf
+            tolerance[interface.closest >= -tolerance] = np.inf
         wrong = np.flatnonzero(gaps < -tolerance)
         if len(wrong):
             deepest = wrong[np.argmin(gaps[wrong])]
             raise ValueError(f"{what}: the bodies overlap by up to {-gaps[deepest]:.6g} m at the start, at "
-                             f"{tuple(mesh.points[found.nodes[deepest]].tolist())}: move one of them apart, or "
+                             f"{tuple(mesh.points[interface.nodes[deepest]].tolist())}: move one of them apart, or "
                              "say allow_interference=True for an interference fit")
         gaps = np.maximum(gaps, 0.0)
-    return replace(found, gaps=gaps)
+    return replace(interface, gaps=gaps)
 
 
 def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
@@ -200,10 +200,10 @@ def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, 
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     """Couple the nodes of a slave surface to a master surface."""
-    carries, n_nodes, found = surfaces.carries[surfaces.slave], len(surfaces.points), covered_parts(surfaces, reach)
-    parts = found.only((found.enough & carries.any(axis=1))[found.slave])
+    carries, n_nodes, covered = surfaces.carries[surfaces.slave], len(surfaces.points), covered_parts(surfaces, reach)
+    parts = covered.only((covered.enough & carries.any(axis=1))[covered.slave])
     if not len(parts.slave):
-        if len(found.slave):
+        if len(covered.slave):
             raise ValueError("the surfaces face each other only where slave nodes are excluded, or on a sliver of each "
                              "facet; take the other surface as slave")
         within = "" if reach is None else f" within a reach of {reach:.6g} m"

@@ -144,7 +144,7 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     eta, distance = _opposite(surfaces, slave, master, s)
     corners = np.stack([-origin, 1 - origin], axis=1)[..., None]
     return CoveredParts(edge, facet, offset[..., None], measure, np.stack([1 - eta, eta], axis=2), distance, corners,
-                 covered >= _LEAST_OF_EDGE)
+                        covered >= _LEAST_OF_EDGE)
 
 
 def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -159,11 +159,11 @@ def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.nda
     starts = np.r_[0, np.cumsum(counts)]
     breaks = ends.ravel()[np.lexsort((ends.ravel(), np.repeat(edge, 2)))]
     room = 2 * len(edge)
-    found = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty((room, 2))
+    pieces = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty((room, 2))
     n = nearest_pieces(surfaces.points, surfaces.normals, surfaces.slave, surfaces.master, starts, facet,
                        np.ascontiguousarray(ends[:, 0]), np.ascontiguousarray(ends[:, 1]), breaks, backward, forward,
-                       np.empty(counts.max(initial=0), dtype=np.int64), *found)
-    return found[0][:n], found[1][:n], found[2][:n]
+                       np.empty(counts.max(initial=0), dtype=np.int64), *pieces)
+    return pieces[0][:n], pieces[1][:n], pieces[2][:n]
 
 
 def _edges_near(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray]:
@@ -293,8 +293,8 @@ _POINTS = np.sqrt(2) * np.array([np.cos([0, 2 * np.pi / 3, 4 * np.pi / 3]), np.s
 def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     """The visible common parts of slave and master triangles."""
     depths, frames = surfaces.depths(reach), _frames(surfaces)
-    start, found = _triangles_near(surfaces, frames, *depths)
-    parts = _common_parts(surfaces, frames, start, found, *depths)
+    start, near = _triangles_near(surfaces, frames, *depths)
+    parts = _common_parts(surfaces, frames, start, near, *depths)
     covariance = parts.means()[-1]
     strips = np.flatnonzero(np.linalg.det(covariance) < _STRIP * np.trace(covariance, axis1=1, axis2=2)**2)
     if len(strips):
@@ -303,7 +303,7 @@ def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts
         # proper rotations: the corners must stay counter-clockwise
         axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
         frames[strips, :2] = np.einsum("fba,fbd->fad", axes, frames[strips, :2])
-        parts = _common_parts(surfaces, frames, start, found, *depths)
+        parts = _common_parts(surfaces, frames, start, near, *depths)
     return parts
 
 
@@ -331,25 +331,25 @@ def _triangles_near(surfaces: Surfaces, frames: np.ndarray, backward: float, for
     low, high = local.min(axis=1), local.max(axis=1)
     low[:, 2] -= backward
     high[:, 2] += forward
-    slave, found = BoxTree(surfaces.points, surfaces.master).meeting(frames, origins, low, high)
-    leaning = np.einsum("pd,pd->p", surfaces.master_side.vectors[found], frames[slave, 2])
-    facing = leaning < -_GRAZING * surfaces.master_side.measures[found]
+    slave, near = BoxTree(surfaces.points, surfaces.master).meeting(frames, origins, low, high)
+    leaning = np.einsum("pd,pd->p", surfaces.master_side.vectors[near], frames[slave, 2])
+    facing = leaning < -_GRAZING * surfaces.master_side.measures[near]
     start = np.cumsum(np.bincount(slave[facing] + 1, minlength=len(frames) + 1))
-    return start, found[facing]
+    return start, near[facing]
 
 
-def _common_parts(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, found: np.ndarray, backward: float,
+def _common_parts(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, near: np.ndarray, backward: float,
                   forward: float) -> CoveredParts:
     """The visible common parts."""
     origins, local = _local(surfaces, frames)
     slave = np.repeat(np.arange(len(frames)), np.diff(start))
     # seen from the slave a facing facet runs clockwise: turned round
     other = np.einsum("pad,pkd->pka", frames[slave],
-                      surfaces.points[surfaces.master[found, ::-1]] - origins[slave][:, None])
-    moments = np.empty((len(found), MOMENTS))
+                      surfaces.points[surfaces.master[near, ::-1]] - origins[slave][:, None])
+    moments = np.empty((len(near), MOMENTS))
     common_moments(local, other, start, backward, forward, moments)
     real = moments[:, 0] > 0
-    slave, master, other, moments = slave[real], found[real], other[real, ::-1], moments[real]
+    slave, master, other, moments = slave[real], near[real], other[real, ::-1], moments[real]
     area, at, (xx, xy, yy) = moments[:, 0], moments[:, 1:3], moments[:, 3:].T
     # the points are the corners of an equilateral triangle times the square root of the covariance
     wide = np.sqrt(xx)
@@ -367,7 +367,7 @@ def _common_parts(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, fou
     origin[slave] = at
     covered = np.bincount(slave, weights.sum(axis=1), minlength=len(frames))
     return CoveredParts(slave, master, (at - origin[slave])[:, None] + steps, weights, shapes, distances,
-                 local[..., :2] - origin[:, None], covered >= _LEAST_OF_TRIANGLE * surfaces.slave_side.measures)
+                        local[..., :2] - origin[:, None], covered >= _LEAST_OF_TRIANGLE * surfaces.slave_side.measures)
 
 
 def _barycentric(corners: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

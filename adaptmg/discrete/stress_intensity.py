@@ -125,10 +125,10 @@ def stress_intensity(mesh: MeshArrays, displacement: np.ndarray, data: StressDat
     body = mesh.element_body[np.argmin(r[mesh.elements].mean(axis=1))]
     radii = tuple(outer * part for part in _RADII)
     fit /= outer ** np.arange(3)[:, None]
-    found = np.array([_factors(mesh, tip, reach, gradient, stress, fit, data.lame[body], data.shear[body])
-                      for reach in radii])
-    return StressIntensity(tuple(tip.place.tolist()), *found.mean(axis=0).tolist(), radii,
-                           tuple(np.ptp(found, axis=0).tolist()))
+    factors = np.array([_factors(mesh, tip, reach, gradient, stress, fit, data.lame[body], data.shear[body])
+                        for reach in radii])
+    return StressIntensity(tuple(tip.place.tolist()), *factors.mean(axis=0).tolist(), radii,
+                           tuple(np.ptp(factors, axis=0).tolist()))
 
 
 def _factors(mesh: MeshArrays, tip: Tip, radius: float, gradient: np.ndarray, stress: np.ndarray, fit: np.ndarray,

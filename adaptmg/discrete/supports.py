@@ -186,11 +186,11 @@ def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
 
 def held_directions(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[str, np.ndarray]:
     """Return by boundary the orthonormal directions (k, dim) along which supports hold it."""
-    found: dict[str, list[np.ndarray]] = {}
+    by_boundary: dict[str, list[np.ndarray]] = {}
     for one in held_by(mesh, [support for support in supports if support.boundary is not None]):
-        found.setdefault(one.support.boundary, []).append(one.direction)
+        by_boundary.setdefault(one.support.boundary, []).append(one.direction)
     result = {}
-    for name, directions in found.items():
+    for name, directions in by_boundary.items():
         result[name] = np.array(sorted({tuple(direction.tolist()) for direction in directions}))
         if (np.abs(directions).max(axis=1) < 1.0).any():  # axes stay unchanged, to the bit
             _, sizes, rows = np.linalg.svd(result[name], full_matrices=False)

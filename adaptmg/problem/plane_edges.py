@@ -96,21 +96,21 @@ class Arc:
 
 def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]:
     """Return the points where two edges cross or touch, and the ends of one that lie on the other."""
-    found = [*e.ends, *f.ends]
+    points = [*e.ends, *f.ends]
     if isinstance(e, Arc) and isinstance(f, Arc):
-        found += _circles(e, f, tol)
+        points += _circles(e, f, tol)
     elif isinstance(e, Arc) or isinstance(f, Arc):
         arc, line = (e, f) if isinstance(e, Arc) else (f, e)
         along = (line.end - line.start) / np.linalg.norm(line.end - line.start)
         centre = np.array(arc.center)
         foot = line.start + along * ((centre - line.start) @ along)
-        found += _both_sides(foot, along, arc.radius, float(np.linalg.norm(foot - centre)), tol)
+        points += _both_sides(foot, along, arc.radius, float(np.linalg.norm(foot - centre)), tol)
     else:
         u, v, w = e.end - e.start, f.end - f.start, f.start - e.start
         cross = u[0] * v[1] - u[1] * v[0]
         if abs(cross) > _PARALLEL * np.linalg.norm(u) * np.linalg.norm(v):
-            found.append(e.start + u * ((w[0] * v[1] - w[1] * v[0]) / cross))
-    return on_both(e, f, found, tol)
+            points.append(e.start + u * ((w[0] * v[1] - w[1] * v[0]) / cross))
+    return on_both(e, f, points, tol)
 
 
 def on_both(e: Segment | Arc, f: Segment | Arc, points: list[np.ndarray], tol: float) -> list[np.ndarray]:
