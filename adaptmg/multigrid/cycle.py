@@ -96,17 +96,17 @@ def correction_contact(correction: Correction, reach: Supports, system: LocalSys
     return NodalContact(gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit))
 
 
-def _transported(correction: Correction, coarse: LocalSystem, found: object) -> tuple[np.ndarray, ...]:
+def _transported(correction: Correction, coarse: LocalSystem, returned: object) -> tuple[np.ndarray, ...]:
     """The coarse contact data of a correction, types and shapes checked: it may be user-defined."""
     n, name = len(coarse.nodes), f"correction: transport of {checks.shown(correction)}"
-    if not isinstance(found, (tuple, list)) or len(found) != 3:
-        raise TypeError(f"{name} must return gap, slip and limit, got {checks.shown(found)}")
+    if not isinstance(returned, (tuple, list)) or len(returned) != 3:
+        raise TypeError(f"{name} must return gap, slip and limit, got {checks.shown(returned)}")
     shapes = {"gap": (n,), "slip": (n, coarse.dim - 1), "limit": (n,)}
-    for (what, shape), array in zip(shapes.items(), found, strict=True):
+    for (what, shape), array in zip(shapes.items(), returned, strict=True):
         if not isinstance(array, np.ndarray) or array.dtype != np.float64 or array.shape != shape:
-            given = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else checks.shown(array)
-            raise TypeError(f"{name} must return a {what} of float64 {shape}, coarse contact nodes first, got {given}")
-    return tuple(found)
+            actual = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else checks.shown(array)
+            raise TypeError(f"{name} must return a {what} of float64 {shape}, coarse contact nodes first, got {actual}")
+    return tuple(returned)
 
 
 @dataclass(eq=False)
