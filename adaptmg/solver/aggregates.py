@@ -312,7 +312,8 @@ _smoothed_of = remembered_of_structure(_Smoothed)
 
 
 def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
-    return sparse.bsr_array((blocks, np.arange(len(blocks)), np.arange(len(blocks) + 1)))
+    n, dim = len(blocks), blocks.shape[1]
+    return sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
 
 
 def changed_status(problem: DiscreteProblem, residual: np.ndarray, here: AtNodes, stiffness: np.ndarray,
